@@ -1,0 +1,3 @@
+"""Calibration of active-gazing stereo."""
+
+__version__ = "0.1.0"

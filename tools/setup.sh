@@ -1,0 +1,72 @@
+#!/usr/bin/env bash
+# Sets up all that calib needs: Debian packages, a virtual environment, the locked set.
+# Usage: tools/setup.sh runtime|dev. Called by make; running it again costs nothing.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+level=${1:?usage: tools/setup.sh runtime|dev}
+venv=.venv
+
+say() { printf 'setup: %s\n' "$*" >&2; }
+fail() { say "$*"; exit 2; }
+
+# mrcal (second intrinsics backend), Pango (PDF certificate), fonts; the tests also open pages in a browser.
+packages=(python3-venv python3-mrcal libpango-1.0-0 libpangoft2-1.0-0 libharfbuzz-subset0 fonts-dejavu-core)
+[ "$level" = dev ] && packages+=(chromium poppler-utils git)
+
+installed() { dpkg-query -W -f='${db:Status-Status}' "$1" 2>/dev/null | grep -qx installed; }
+
+install_packages() {
+    command -v apt-get >/dev/null 2>&1 && command -v dpkg-query >/dev/null 2>&1 || {
+        say "no apt on this machine: the cross-check by mrcal and the PDF certificate need, in its own packages:"
+        say "  ${packages[*]}"
+        return 0
+    }
+    local missing=() p
+    for p in "${packages[@]}"; do installed "$p" || missing+=("$p"); done
+    [ ${#missing[@]} -eq 0 ] && return 0
+    local as=()
+    if [ "$(id -u)" -ne 0 ]; then
+        command -v sudo >/dev/null 2>&1 || {
+            say "these Debian packages are missing and there is no sudo; ask an administrator to run:"
+            say "  apt-get install ${missing[*]}"
+            return 0
+        }
+        as=(sudo)
+    fi
+    say "installing Debian packages: ${missing[*]}"
+    "${as[@]}" env DEBIAN_FRONTEND=noninteractive apt-get update -qq || say "apt-get update failed; trying with the lists at hand"
+    "${as[@]}" env DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends "${missing[@]}" >/dev/null ||
+        say "apt-get could not install ${missing[*]}; going on without"
+}
+
+find_python() {
+    local p
+    for p in ${PYTHON:-} python3 /usr/bin/python3 python3.13 python3.12 python3.11; do
+        if command -v "$p" >/dev/null 2>&1 &&
+            "$p" -c 'import sys, venv, ensurepip; sys.exit(sys.version_info < (3, 11))' 2>/dev/null; then
+            printf '%s' "$p"
+            return 0
+        fi
+    done
+    return 1
+}
+
+lock=requirements.lock
+[ "$level" = dev ] && lock=requirements-dev.lock
+stamp=$venv/.ready-$level
+wanted=$(cat "$lock" pyproject.toml tools/setup.sh | sha256sum)
+[ -f "$stamp" ] && [ "$(cat "$stamp")" = "$wanted" ] && [ -x $venv/bin/calib ] && exit 0
+
+install_packages
+if [ ! -x $venv/bin/python ]; then
+    python=$(find_python) || fail "needs Python 3.11 or newer with venv; on Debian 12: apt-get install python3 python3-venv"
+    say "creating $venv with $("$python" --version)"
+    "$python" -m venv $venv
+fi
+say "installing the locked packages ($lock)"
+$venv/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes -r "$lock"
+$venv/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
+# The dev set contains the runtime set, pinned alike.
+printf '%s' "$wanted" >"$stamp"
+[ "$level" = dev ] && printf '%s' "$(cat requirements.lock pyproject.toml tools/setup.sh | sha256sum)" >$venv/.ready-runtime
+say "ready"

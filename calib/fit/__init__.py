@@ -1,0 +1,1 @@
+"""Estimators of the gaze model: one a file."""

@@ -1,0 +1,162 @@
+"""The log posterior density of a model, for many parameter vectors at once.
+
+Without encoder terms other than its zero, the closure is linear in twelve products of what a row
+says: the sines and cosines of its reading times 1/z, x1c, y1c and 1, and those four themselves.
+For m vectors and n rows it is then one (m x 12) by (12 x n) matrix product; columns that a model
+never uses are left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calib.arrays import BoolArray, FloatArray, IntArray
+from calib.fit.noise import CORE, DOF, log_density, row_noise
+from calib.fit.priors import Priors, measured_of, prior_of
+from calib.geometry.parameters import INDEX, PARAMETERS, EncoderTerm, Model, embed
+from calib.geometry.plane import frame
+from calib.observations import Observations
+
+CHUNK_ELEMENTS = 16_000
+"""Vectors x rows evaluated at a time: above it the arrays leave the processor's cache."""
+
+_NOISE_TAIL = (DOF + 1) / 2
+
+
+@dataclass(frozen=True)
+class LogPosterior:
+    """Log posterior density of the free parameters and the logarithm of the noise scale.
+
+    Parameters
+    ----------
+    model
+        The model; p free parameters.
+    rows
+        The rows, n of them.
+    sigma
+        Stated uncertainty of each row's closure, shape (n,); fixed, so that the density is one of
+        the residuals alone.
+    log_unit
+        Log of the density of an encoder reading per unit of standardised closure, shape (n,).
+    root, target
+        Priors and measured knowledge: ``-|root @ x - target|² / 2``, shapes (r, p) and (r,).
+    noise_prior
+        Mean and standard deviation of the logarithm of the noise scale.
+    """
+
+    model: Model
+    rows: Observations
+    sigma: FloatArray
+    log_unit: FloatArray
+    root: FloatArray
+    target: FloatArray
+    noise_prior: tuple[float, float]
+
+    @property
+    def dimensions(self) -> int:
+        """Number of sampled quantities, p + 1."""
+        return len(self.model.free) + 1
+
+    def only(self, chosen: IntArray) -> LogPosterior:
+        """Return the same with the chosen rows alone."""
+        return replace(
+            self,
+            rows=self.rows.take(chosen),
+            sigma=self.sigma[chosen],
+            log_unit=self.log_unit[chosen],
+        )
+
+    def __call__(self, x: FloatArray) -> FloatArray:
+        """Return the log density, shape (m,), of x, shape (m, p + 1), noise scale last."""
+        theta, log_scale = embed(x[:, :-1], self.model.free), x[:, -1]
+        mean, std = self.noise_prior
+        total: FloatArray = -0.5 * ((x[:, :-1] @ self.root.T - self.target) ** 2).sum(axis=1)
+        total -= 0.5 * ((log_scale - mean) / std) ** 2 + len(self.rows) * log_scale
+        width = (DOF * CORE**2 * np.exp(2 * log_scale))[:, None]
+        for miss in self._standardised(theta):
+            total -= _NOISE_TAIL * np.log1p(miss * miss / width).sum(axis=1)
+        return total
+
+    def pointwise(self, x: FloatArray) -> FloatArray:
+        """Return the log density of each encoder reading, per rad, shape (m, n)."""
+        theta = embed(x[:, :-1], self.model.free)
+        miss = np.concatenate(list(self._standardised(theta)), axis=1)
+        return log_density(miss, x[:, -1:]) + self.log_unit
+
+    def _standardised(self, theta: FloatArray) -> Iterator[FloatArray]:
+        """Yield the closures over sigma, shape (m, some rows), chunk by chunk."""
+        coefficients = _coefficients(theta, zero_in=_has_encoder_terms(self.model))
+        used = np.any(coefficients != 0, axis=0)
+        step = max(1, CHUNK_ELEMENTS // len(theta))
+        for start in range(0, len(self.rows), step):
+            part = slice(start, min(start + step, len(self.rows)))
+            if _has_encoder_terms(self.model):
+                yield self._by_angle(theta, coefficients, part)
+            else:
+                yield coefficients[:, used] @ self._basis(part, used)
+
+    def _basis(self, part: slice, used: BoolArray) -> FloatArray:
+        rows = self.rows
+        angle = rows.alpha2_rad[part] + rows.gaze_residual_rad[part]
+        turn = (np.sin(angle), np.cos(angle), np.ones_like(angle))
+        place = (1 / rows.z_mm[part], -rows.x1c[part], -rows.y1c[part], -np.ones_like(angle))
+        basis = [t * q / self.sigma[part] for q in place for t in turn]
+        return np.stack([b for b, use in zip(basis, used, strict=True) if use])
+
+    def _by_angle(self, theta: FloatArray, coefficients: FloatArray, part: slice) -> FloatArray:
+        """Return the same where each vector turns each reading in its own way."""
+        rows = self.rows
+        reading = rows.alpha2_rad[part]
+        angle = reading + rows.gaze_residual_rad[part]
+        for i, parameter in enumerate(PARAMETERS):
+            if isinstance(parameter.effect, EncoderTerm):
+                angle = angle + theta[:, i, None] * parameter.effect.basis(reading)
+        place = np.stack(
+            [1 / rows.z_mm[part], -rows.x1c[part], -rows.y1c[part], -np.ones_like(reading)]
+        )
+        sine, cosine, still = (coefficients[:, k::3] @ place for k in range(3))
+        return (np.sin(angle) * sine + np.cos(angle) * cosine + still) / self.sigma[part]
+
+
+def _has_encoder_terms(model: Model) -> bool:
+    return any(
+        isinstance(PARAMETERS[i].effect, EncoderTerm) and i != INDEX["delta2_rad"]
+        for i in model.indices
+    )
+
+
+def _coefficients(theta: FloatArray, *, zero_in: bool) -> FloatArray:
+    """Return what multiplies the basis, shape (m, 12).
+
+    Order: sine, cosine and 1 of the reading, for each of 1/z, -x1c, -y1c, -1. The encoder's zero
+    is carried by the coefficients unless `zero_in` says that the angles hold it already.
+    """
+    f = frame(theta)
+    u, v, w = f.basis()
+    if not zero_in:
+        delta2 = theta[:, INDEX["delta2_rad"], None]
+        u, v = np.cos(delta2) * u - np.sin(delta2) * v, np.sin(delta2) * u + np.cos(delta2) * v
+    on_axis = [(n * f.point).sum(axis=1) for n in (u, v, w)]
+    on_axis[2] = on_axis[2] + f.offset
+    columns = on_axis + [n[:, k] for k in range(3) for n in (u, v, w)]
+    return np.stack(columns, axis=1)
+
+
+def log_posterior(
+    rows: Observations, model: Model, priors: Priors, theta: FloatArray
+) -> LogPosterior:
+    """Return the log posterior of `model`, with the rows weighted as at `theta`, (COUNT,)."""
+    noise = row_noise(theta, rows)
+    root, target = (prior_of(model, priors) + measured_of(model, priors)).root()
+    return LogPosterior(
+        model=model,
+        rows=rows,
+        sigma=noise.sigma,
+        log_unit=np.log(noise.per_angle / noise.sigma),
+        root=root,
+        target=target,
+        noise_prior=priors.noise_scale,
+    )

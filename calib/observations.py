@@ -1,0 +1,82 @@
+"""Rows as the fits see them: gazes with reference depths and all their uncertainties."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from calib.arrays import BoolArray, FloatArray, IntArray
+from calib.geometry.plane import Gaze
+
+
+def _no_shared() -> FloatArray:
+    return np.zeros((0, 0, 0))
+
+
+@dataclass(frozen=True)
+class Observations:
+    """Calibration or validation rows in frame C1.
+
+    The error of row i, quantity q (columns of `calib.geometry.plane.OBSERVABLE`) is modelled as
+    ``std[i, q] * own + shared[i, q] @ common`` with independent standard-normal ``own`` (one a
+    row and quantity) and ``common`` (one vector for all rows: what C1's intrinsics and the stereo
+    extrinsics, estimated once, have wrong).
+
+    Parameters
+    ----------
+    ids, groups
+        Name of each row and of the pose or day it shares with others.
+    x1c, y1c
+        Normalised, undistorted coordinates in C1, shape (n,). y1c is 0 where `has_height` is
+        false: the table did not say it.
+    alpha2_rad, gaze_residual_rad
+        Encoder reading, and angle from C2's centre column to the target, rad, shape (n,).
+    z_mm
+        Reference depth, mm, shape (n,).
+    std
+        Standard uncertainties of each row's own errors, shape (n, 5).
+    shared
+        Loadings of the shared errors, shape (n, 5, k); shape (0, 0, 0) if there are none.
+    shared_names
+        One name a shared error, length k.
+    has_height
+        Whether y1c is known for every row.
+    """
+
+    ids: tuple[str, ...]
+    groups: tuple[str, ...]
+    x1c: FloatArray
+    y1c: FloatArray
+    alpha2_rad: FloatArray
+    gaze_residual_rad: FloatArray
+    z_mm: FloatArray
+    std: FloatArray
+    has_height: bool = True
+    shared: FloatArray = field(default_factory=_no_shared)
+    shared_names: tuple[str, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+    @property
+    def gaze(self) -> Gaze:
+        """The rows without their depths."""
+        return Gaze(self.x1c, self.y1c, self.alpha2_rad, self.gaze_residual_rad)
+
+    def take(self, rows: BoolArray | IntArray) -> Observations:
+        """Return the chosen rows."""
+        index = np.arange(len(self))[rows]
+        return Observations(
+            ids=tuple(self.ids[i] for i in index),
+            groups=tuple(self.groups[i] for i in index),
+            x1c=self.x1c[index],
+            y1c=self.y1c[index],
+            alpha2_rad=self.alpha2_rad[index],
+            gaze_residual_rad=self.gaze_residual_rad[index],
+            z_mm=self.z_mm[index],
+            std=self.std[index],
+            has_height=self.has_height,
+            shared=self.shared[index] if self.shared_names else self.shared,
+            shared_names=self.shared_names,
+        )

@@ -1,0 +1,250 @@
+"""Results on disk: atomic files, and stage results that are reused while nothing has changed.
+
+A stage result is a frozen dataclass. Its numbers, texts and structure go into one JSON document,
+its arrays into HDF5 datasets beside it; reading checks every type against the dataclass. Nothing
+read is ever evaluated.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import importlib
+import json
+import os
+import tempfile
+import time
+import typing
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+import h5py
+from numpy.random import SeedSequence
+
+from calib.codec import put_together, take_apart
+from calib.errors import CalibError, EstimationError, UsageError
+from calib.fingerprint import code_fingerprint, digest
+
+CACHE = ".stages"
+LOCK = ".lock"
+
+T = TypeVar("T")
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """Give a temporary path beside `path`; on success it takes that name, else it vanishes.
+
+    Raises
+    ------
+    UsageError
+        If the file cannot be written: no space, no permission.
+    """
+    try:
+        handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".part", dir=path.parent)
+        os.close(handle)
+    except OSError as error:
+        raise _cannot_write(path, error) from error
+    temporary = Path(name)
+    try:
+        yield temporary
+        with temporary.open("rb") as written:
+            os.fsync(written.fileno())
+        temporary.chmod(0o644)
+        temporary.replace(path)
+    except OSError as error:
+        raise _cannot_write(path, error) from error
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _cannot_write(path: Path, error: OSError) -> UsageError:
+    reason = error.strerror or str(error)
+    return UsageError(f"{path}: cannot be written ({reason}); free space or choose another --out")
+
+
+def write_bytes(path: Path, content: bytes) -> None:
+    """Write a file so that its name never stands for half of it."""
+    with replacing(path) as temporary:
+        temporary.write_bytes(content)
+
+
+@dataclass(frozen=True)
+class Failure:
+    """The outcome of a stage that has no answer on its data."""
+
+    reason: str
+
+
+@dataclass
+class Staged(Generic[T]):
+    """A stage's outcome: its fingerprint now, its value when it is asked for."""
+
+    name: str
+    fingerprint: str
+    _load: Callable[[], T | Failure]
+    _loaded: list[T | Failure] = field(default_factory=list)
+
+    @property
+    def outcome(self) -> T | Failure:
+        """The value, or why there is none."""
+        if not self._loaded:
+            self._loaded.append(self._load())
+        return self._loaded[0]
+
+    @property
+    def value(self) -> T:
+        """The value.
+
+        Raises
+        ------
+        EstimationError
+            If the stage failed.
+        """
+        outcome = self.outcome
+        if isinstance(outcome, Failure):
+            raise EstimationError(outcome.reason)
+        return outcome
+
+    @property
+    def failed(self) -> str | None:
+        """Why there is no value, or None."""
+        outcome = self.outcome
+        return outcome.reason if isinstance(outcome, Failure) else None
+
+
+def given(name: str, value: T, fingerprint: str) -> Staged[T]:
+    """Return a value that was not computed by a stage, e.g. the dataset, as a stage's input."""
+    return Staged(name, fingerprint, lambda: value)
+
+
+@dataclass
+class Store:
+    """The folder of one run's results.
+
+    Parameters
+    ----------
+    out
+        The folder; made if it is not there.
+    announce
+        Told the name of each stage that is about to run.
+    """
+
+    out: Path
+    announce: Callable[[str], None] = lambda _: None
+    durations: dict[str, float] = field(default_factory=dict)
+    reused: list[str] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        try:
+            (self.out / CACHE).mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise _cannot_write(self.out, error) from error
+
+    @contextmanager
+    def locked(self) -> Iterator[None]:
+        """Keep every other run out of the folder; the lock dies with the process.
+
+        Raises
+        ------
+        UsageError
+            If another run holds it.
+        """
+        try:
+            handle = (self.out / LOCK).open("w")
+        except OSError as error:
+            raise _cannot_write(self.out / LOCK, error) from error
+        with handle:
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError:
+                raise UsageError(
+                    f"{self.out}: another run is writing there; wait for it or choose another --out"
+                ) from None
+            yield
+
+    def stage(self, name: str, target: str, *inputs: Staged[Any], **settings: Any) -> Staged[Any]:
+        """Return the outcome of a stage, computed now or reused.
+
+        Parameters
+        ----------
+        name
+            Key of the result, with slashes.
+        target
+            ``module:function``; imported only if the stage has to run. The function's return
+            annotation is the type that is stored.
+        inputs
+            Passed by position.
+        settings
+            JSON-able; passed by keyword. A setting ``seed`` arrives as a SeedSequence that no
+            other stage shares.
+        """
+        module, function = target.split(":")
+        fingerprint = digest(
+            name, function, code_fingerprint(module), [i.fingerprint for i in inputs], settings
+        )
+        path = self.out / CACHE / (name.replace("/", "--") + ".h5")
+        if _fingerprint_of(path) == fingerprint:
+            self.reused.append(name)
+            return Staged(name, fingerprint, lambda: _read(path, _result_type(target)))
+        self.announce(name)
+        started = time.perf_counter()
+        outcome = _run(target, name, inputs, settings)
+        _write(path, fingerprint, outcome)
+        self.durations[name] = time.perf_counter() - started
+        return Staged(name, fingerprint, lambda: outcome)
+
+
+def _function(target: str) -> Callable[..., Any]:
+    module, name = target.split(":")
+    function: Callable[..., Any] = getattr(importlib.import_module(module), name)
+    return function
+
+
+def _result_type(target: str) -> Any:
+    return typing.get_type_hints(_function(target))["return"]
+
+
+def _run(
+    target: str, name: str, inputs: tuple[Staged[Any], ...], settings: Mapping[str, Any]
+) -> Any:
+    arguments = dict(settings)
+    if "seed" in arguments:
+        spawn_key = tuple(name.encode())
+        arguments["seed"] = SeedSequence(arguments["seed"], spawn_key=spawn_key)
+    try:
+        return _function(target)(*(i.value for i in inputs), **arguments)
+    except EstimationError as error:
+        return Failure(str(error))
+
+
+def _fingerprint_of(path: Path) -> str | None:
+    """Return the fingerprint a stage file carries, None if there is none or it cannot be read."""
+    try:
+        with h5py.File(path, "r") as file:
+            return str(file.attrs["fingerprint"])
+    except (OSError, KeyError):
+        return None
+
+
+def _write(path: Path, fingerprint: str, outcome: Any) -> None:
+    document, arrays = take_apart(outcome)
+    with replacing(path) as temporary, h5py.File(temporary, "w") as file:
+        for key, array in arrays.items():
+            file.create_dataset(key, data=array)
+        file.attrs["failed"] = isinstance(outcome, Failure)
+        file.create_dataset("document", data=json.dumps(document, ensure_ascii=False))
+        file.attrs["fingerprint"] = fingerprint
+
+
+def _read(path: Path, kind: Any) -> Any:
+    try:
+        with h5py.File(path, "r") as file:
+            document = json.loads(file["document"].asstr()[()])
+            arrays = {key: file[key][()] for key in file if key != "document"}
+            expected = Failure if bool(file.attrs["failed"]) else kind
+        return put_together(document, arrays, expected)
+    except (OSError, KeyError, ValueError, TypeError) as error:
+        raise CalibError(f"{path}: damaged ({error}); delete it and run again") from error

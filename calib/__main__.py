@@ -1,3 +1,181 @@
-"""Calibration of active-gazing stereo."""
+"""The command line: parse, call, say how it ended. Nothing is computed here.
 
-__version__ = "0.1.0"
+Imports that take time stand inside the functions that need them: ``calib --help`` answers at once.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shlex
+import signal
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from calib import __version__
+from calib.errors import CalibError, UsageError
+
+if TYPE_CHECKING:
+    from calib.dataset.contents import Dataset
+
+DONE, DEFECT, REFUSED, GATE_FAILED = 0, 1, 2, 3
+INTERRUPTED = 128 + signal.SIGINT
+
+# One BLAS thread: the last bits of a sum must not hang on the number of cores.
+_THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+def _seed(text: str) -> int:
+    value = int(text)
+    if not 0 <= value < 2**63:
+        raise ValueError
+    return value
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="calib",
+        description="Calibrates active-gazing stereo: a fixed camera C1 and a yawing camera C2.",
+        epilog="Exit status: 0 done, 2 bad input or usage, 3 a gate failed (outputs are written), "
+        "1 a defect of the program.",
+    )
+    parser.add_argument("--version", action="version", version=f"calib {__version__}")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+
+    add = commands.add_parser("calibrate", help="run the whole chain on a dataset")
+    add.add_argument("dataset", type=Path, metavar="DATASET", help="folder with dataset.toml")
+    add.add_argument("--out", type=Path, metavar="DIR", help="default: reports/NAME")
+    add.add_argument("--seed", type=_seed, default=0, metavar="N", help="default: 0")
+    add.add_argument(
+        "--depths", type=float, nargs=2, metavar=("LOW", "HIGH"),
+        help="range of the depth uncertainty table, mm; default: that of the rows",
+    )  # fmt: skip
+    add.set_defaults(run=_calibrate)
+
+    add = commands.add_parser("check", help="list every problem of a dataset; writes nothing")
+    add.add_argument("dataset", type=Path, metavar="DATASET")
+    add.set_defaults(run=_check)
+
+    add = commands.add_parser("measure", help="3-D positions from readings and a calibration")
+    add.add_argument("calibration", type=Path, metavar="CALIBRATION.json")
+    add.add_argument("table", metavar="TABLE.csv", help="- reads standard input")
+    add.add_argument("--out", type=Path, metavar="CSV", help="default: standard output")
+    add.add_argument("--lengths", type=Path, metavar="CSV", help="id, from, to: distances instead")
+    add.set_defaults(run=_measure)
+    return parser
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command and return its exit status."""
+    for name in _THREADS:
+        os.environ[name] = "1"
+    parsed = _parser().parse_args(arguments)
+    command: Callable[[argparse.Namespace], int] = parsed.run
+    try:
+        return command(parsed)
+    except CalibError as error:
+        print(f"calib: {error}", file=sys.stderr)
+        return error.exit_status
+    except BrokenPipeError:
+        # The reader of our output has gone; nothing is left to be said to it.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return DONE
+    except KeyboardInterrupt:
+        print("calib: interrupted; what was finished is kept and will be reused", file=sys.stderr)
+        return INTERRUPTED
+
+
+def _terminated(*_: object) -> None:
+    raise KeyboardInterrupt
+
+
+def _calibrate(arguments: argparse.Namespace) -> int:
+    from calib.console import summary
+    from calib.dataset.load import load_dataset
+    from calib.ledger import finished_before, run_fingerprint
+
+    signal.signal(signal.SIGTERM, _terminated)
+    dataset = load_dataset(arguments.dataset)
+    out: Path = arguments.out or Path("reports") / dataset.root.name
+    depths = tuple(arguments.depths) if arguments.depths else None
+    if depths is not None and not 0 < depths[0] < depths[1] < float("inf"):
+        raise UsageError("--depths: give two depths in mm, 0 < LOW < HIGH")
+    settings = {"seed": arguments.seed, "depths_mm": depths}
+    if finished_before(out, run_fingerprint(dataset.sha256, settings)):
+        print(f"{out}: up to date, nothing has changed")
+    else:
+        _run_chain(dataset, out, settings)
+    text, passed = summary(out)
+    print(text)
+    return DONE if passed else GATE_FAILED
+
+
+def _run_chain(dataset: Dataset, out: Path, settings: dict[str, Any]) -> None:
+    from calib.console import Console
+    from calib.pipeline import Options, calibrate
+
+    console = Console()
+    try:
+        calibrate(
+            dataset,
+            out,
+            Options(**settings),
+            announce=console.announce,
+            progress=console.progress,
+            command=shlex.join(["calib", *sys.argv[1:]]),
+        )
+    finally:
+        console.close()
+
+
+def _check(arguments: argparse.Namespace) -> int:
+    from calib.dataset.load import load_dataset
+
+    dataset = load_dataset(arguments.dataset)
+    for warning in dataset.warnings:
+        print(f"warning: {warning}")
+    parts = {
+        "gaze rows": dataset.gaze,
+        "validation rows": dataset.validation,
+        "sweep images": dataset.sweep,
+        "lengths": dataset.lengths,
+        "stereo pairs": dataset.stereo_pairs,
+        "images of C1": dataset.images.get("c1"),
+        "images of C2": dataset.images.get("c2"),
+    }
+    found = ", ".join(f"{len(part)} {name}" for name, part in parts.items() if part)
+    print(f"{dataset.manifest.name}: no problems; {found or 'no rows and no images'}")
+    return DONE
+
+
+def _measure(arguments: argparse.Namespace) -> int:
+    from calib.dataset.readers import read_measurements
+    from calib.measure import (
+        lengths_csv,
+        measure,
+        positions_csv,
+        read_calibration,
+        read_pairs,
+        table_text,
+    )
+    from calib.store import write_bytes
+
+    measuring = read_calibration(arguments.calibration)
+    name = "standard input" if arguments.table == "-" else arguments.table
+    text = sys.stdin.buffer.read() if arguments.table == "-" else Path(name)
+    measured = measure(measuring, read_measurements(table_text(text, name=name), name=name))
+    if arguments.lengths is None:
+        result = positions_csv(measuring, measured)
+    else:
+        result = lengths_csv(measured, read_pairs(arguments.lengths, measured))
+    if arguments.out is None:
+        sys.stdout.write(result)
+    else:
+        write_bytes(arguments.out, result.encode())
+    return DONE
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -111,3 +111,11 @@ def code_fingerprint(module: str) -> str:
             sources[name] = [hashlib.sha256(f.read_bytes()).hexdigest() for f in files]
     foreign = sorted(p for p in packages if p not in sys.stdlib_module_names)
     return digest(sources, {p: package_version(p) for p in foreign}, platform.python_version())
+
+
+def whole_code() -> str:
+    """Return the hash of all source of calib: what the run as a whole depends on."""
+    root = Path(__file__).resolve().parent
+    files = sorted(p for p in root.rglob("*") if p.suffix in {".py", ".html", ".css", ".js", ".j2"})
+    sources = {str(p.relative_to(root)): hashlib.sha256(p.read_bytes()).hexdigest() for p in files}
+    return digest(sources, platform.python_version())

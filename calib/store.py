@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import fcntl
 import importlib
+import inspect
 import json
 import os
 import tempfile
@@ -17,8 +18,10 @@ import typing
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import partial
+from hashlib import sha256
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, TypeAlias, TypeVar
 
 import h5py
 from numpy.random import SeedSequence
@@ -108,6 +111,11 @@ class Staged(Generic[T]):
             raise EstimationError(outcome.reason)
         return outcome
 
+    def get(self) -> T | None:
+        """Return the value, or None if the stage failed."""
+        outcome = self.outcome
+        return None if isinstance(outcome, Failure) else outcome
+
     @property
     def failed(self) -> str | None:
         """Why there is no value, or None."""
@@ -115,9 +123,28 @@ class Staged(Generic[T]):
         return outcome.reason if isinstance(outcome, Failure) else None
 
 
-def given(name: str, value: T, fingerprint: str) -> Staged[T]:
-    """Return a value that was not computed by a stage, e.g. the dataset, as a stage's input."""
-    return Staged(name, fingerprint, lambda: value)
+def given(name: str, value: T) -> Staged[T]:
+    """Return a dataclass that no stage computed, e.g. a table, as a stage's input."""
+    document, arrays = take_apart(value)
+    contents = {
+        key: [str(a.dtype), a.shape, sha256(a.tobytes()).hexdigest()] for key, a in arrays.items()
+    }
+    return Staged(name, digest(document, contents), lambda: value)
+
+
+Input: TypeAlias = Staged[Any] | Mapping[str, Staged[Any]] | None
+
+
+def _input_fingerprint(source: Input) -> Any:
+    if isinstance(source, Mapping):
+        return {name: staged.fingerprint for name, staged in source.items()}
+    return None if source is None else source.fingerprint
+
+
+def _input_value(source: Input) -> Any:
+    if isinstance(source, Mapping):
+        return {name: staged.value for name, staged in source.items()}
+    return None if source is None else source.value
 
 
 @dataclass
@@ -130,10 +157,13 @@ class Store:
         The folder; made if it is not there.
     announce
         Told the name of each stage that is about to run.
+    progress
+        Told how far a long stage is: name, steps done, steps expected.
     """
 
     out: Path
     announce: Callable[[str], None] = lambda _: None
+    progress: Callable[[str, int, int], None] = lambda *_: None
     durations: dict[str, float] = field(default_factory=dict)
     reused: list[str] = field(default_factory=list)
 
@@ -165,7 +195,7 @@ class Store:
                 ) from None
             yield
 
-    def stage(self, name: str, target: str, *inputs: Staged[Any], **settings: Any) -> Staged[Any]:
+    def stage(self, name: str, target: str, *inputs: Input, **settings: Any) -> Staged[Any]:
         """Return the outcome of a stage, computed now or reused.
 
         Parameters
@@ -176,14 +206,18 @@ class Store:
             ``module:function``; imported only if the stage has to run. The function's return
             annotation is the type that is stored.
         inputs
-            Passed by position.
+            Passed by position; a mapping of stages as a mapping of their values.
         settings
             JSON-able; passed by keyword. A setting ``seed`` arrives as a SeedSequence that no
-            other stage shares.
+            other stage shares; a function that takes ``progress`` gets the store's.
         """
         module, function = target.split(":")
         fingerprint = digest(
-            name, function, code_fingerprint(module), [i.fingerprint for i in inputs], settings
+            name,
+            function,
+            code_fingerprint(module),
+            [_input_fingerprint(i) for i in inputs],
+            settings,
         )
         path = self.out / CACHE / (name.replace("/", "--") + ".h5")
         if _fingerprint_of(path) == fingerprint:
@@ -191,10 +225,23 @@ class Store:
             return Staged(name, fingerprint, lambda: _read(path, _result_type(target)))
         self.announce(name)
         started = time.perf_counter()
-        outcome = _run(target, name, inputs, settings)
+        outcome = self._run(target, name, inputs, settings)
         _write(path, fingerprint, outcome)
         self.durations[name] = time.perf_counter() - started
         return Staged(name, fingerprint, lambda: outcome)
+
+    def _run(
+        self, target: str, name: str, inputs: tuple[Input, ...], settings: Mapping[str, Any]
+    ) -> Any:
+        function, arguments = _function(target), dict(settings)
+        if "seed" in arguments:
+            arguments["seed"] = SeedSequence(arguments["seed"], spawn_key=tuple(name.encode()))
+        if "progress" in inspect.signature(function).parameters:
+            arguments["progress"] = partial(self.progress, name)
+        try:
+            return function(*map(_input_value, inputs), **arguments)
+        except EstimationError as error:
+            return Failure(str(error))
 
 
 def _function(target: str) -> Callable[..., Any]:
@@ -205,19 +252,6 @@ def _function(target: str) -> Callable[..., Any]:
 
 def _result_type(target: str) -> Any:
     return typing.get_type_hints(_function(target))["return"]
-
-
-def _run(
-    target: str, name: str, inputs: tuple[Staged[Any], ...], settings: Mapping[str, Any]
-) -> Any:
-    arguments = dict(settings)
-    if "seed" in arguments:
-        spawn_key = tuple(name.encode())
-        arguments["seed"] = SeedSequence(arguments["seed"], spawn_key=spawn_key)
-    try:
-        return _function(target)(*(i.value for i in inputs), **arguments)
-    except EstimationError as error:
-        return Failure(str(error))
 
 
 def _fingerprint_of(path: Path) -> str | None:

@@ -25,6 +25,7 @@ from calib.fit.robust import RobustFit, fit_robust
 from calib.geometry.parameters import MODELS
 from calib.geometry.plane import depth
 from calib.observations import Observations
+from calib.observe import ValidationRows
 
 CLEARLY = 1.0
 """Standard errors of the paired difference that a richer model must be better by.
@@ -115,8 +116,8 @@ def compare_models(
     fits: Mapping[str, RobustFit],
     posteriors: Mapping[str, Posterior],
     priors: Priors,
+    validation: ValidationRows | None,
     *,
-    validation: Observations | None,
     seed: SeedSequence,
 ) -> Comparison:
     """Return the comparison of all models that were fitted.
@@ -282,10 +283,11 @@ def _left_out_depth_error(rows: Observations, fit: RobustFit, priors: Priors) ->
     return float(np.sqrt(np.mean(np.concatenate(errors) ** 2)))
 
 
-def _validation_error(fit: RobustFit, validation: Observations | None) -> float | None:
+def _validation_error(fit: RobustFit, validation: ValidationRows | None) -> float | None:
     if validation is None:
         return None
-    error = depth(fit.theta, validation.gaze) / validation.z_mm - 1
+    z = depth(fit.theta, validation.rows.gaze)[validation.depth_of]
+    error = z / validation.rows.z_mm - 1
     return float(np.sqrt(np.mean(error**2)))
 
 

@@ -150,6 +150,7 @@ def sample_posterior(
     rows: Observations,
     fit: RobustFit,
     priors: Priors,
+    *,
     seed: SeedSequence,
     progress: Progress | None = None,
 ) -> Posterior:

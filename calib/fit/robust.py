@@ -19,12 +19,23 @@ from calib.fit.linear import residual_mrad
 from calib.fit.noise import CORE, DOF, EFFICIENCY, is_outlier, row_noise, weight
 from calib.fit.priors import NormalKnowledge, Priors, measured_of, prior_of
 from calib.fit.start import find_start
-from calib.geometry.parameters import PARAMETERS, Model, embed
+from calib.geometry.parameters import MODELS, PARAMETERS, Model, embed
 from calib.geometry.plane import closure
 from calib.observations import Observations
 
 ROUNDS = 12
 """Rounds of fit, weights and noise scale; they agree to six digits after three or four."""
+
+
+SPARE_ROWS = 3
+"""Rows beyond the parameters: fewer leave the noise scale to its prior."""
+
+LEFT_TO_PRIOR = ("eccentricity_mm",)
+"""Parameters that gaze rows hardly ever tell from others, and therefore need no row."""
+
+MINIMUM_HEIGHT = 0.05
+"""Least spread of y1c for a tilt: at 1 deg of tilt it moves the gaze by 0.9 mrad, three steps of
+the paper's motor."""
 
 
 @dataclass(frozen=True)
@@ -172,6 +183,38 @@ class _Problem:
         slope = slope[~is_outlier(c.value / sigma, scale)]
         information: FloatArray = EFFICIENCY * slope.T @ slope
         return information
+
+
+def fit_model(rows: Observations, priors: Priors, *, model: str) -> RobustFit:
+    """Return the robust fit of the model of that name, if the rows can carry it.
+
+    Raises
+    ------
+    EstimationError
+        If they cannot, with the reason.
+    """
+    reason = too_much(rows, MODELS[model])
+    if reason is not None:
+        raise EstimationError(reason)
+    return fit_robust(rows, MODELS[model], priors)
+
+
+def too_much(rows: Observations, model: Model) -> str | None:
+    """Return why `rows` cannot carry `model`, None if they can."""
+    wanted = len([name for name in model.free if name not in LEFT_TO_PRIOR]) + SPARE_ROWS
+    if len(rows) < wanted:
+        return (
+            f"{len(rows)} rows; {wanted} are needed, {SPARE_ROWS} more than the parameters that "
+            "rows can tell apart, or the noise cannot be judged"
+        )
+    if model.needs_height and not rows.has_height:
+        return "the rows give no y1c, and only targets above and below C1's axis show a tilt"
+    if model.needs_height and np.ptp(rows.y1c) < MINIMUM_HEIGHT:
+        return (
+            f"y1c spans {np.ptp(rows.y1c):.3f} only; tilts need targets over {MINIMUM_HEIGHT} "
+            "of it, above and below C1's axis"
+        )
+    return None
 
 
 def fit_robust(

@@ -1,0 +1,1 @@
+"""Rigs with known truth: tables of gazes, rendered images, whole datasets."""

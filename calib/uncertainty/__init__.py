@@ -1,0 +1,1 @@
+"""What a measured depth, position or length is worth: budgets, Monte Carlo, conformity."""

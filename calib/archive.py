@@ -1,0 +1,142 @@
+"""results.h5: every array of a calibration, each with its unit and what it is."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import h5py
+import numpy as np
+
+from calib.arrays import FloatArray
+from calib.fit.posterior import Posterior
+from calib.fit.robust import RobustFit
+from calib.geometry.parameters import INDEX, PARAMETERS
+from calib.observations import Observations
+from calib.results import Calibration, GazeResult
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One array of results.h5.
+
+    Parameters
+    ----------
+    path
+        Group and name, with slashes.
+    values
+        The array, or texts.
+    units
+        Unit of the values; one for each column where they differ.
+    meaning
+        One phrase.
+    """
+
+    path: str
+    values: FloatArray | Sequence[str]
+    units: str | Sequence[str]
+    meaning: str
+
+
+def write_archive(calibration: Calibration, path: Path) -> None:
+    """Write results.h5 to `path`; the caller sees to it that the name is temporary."""
+    with h5py.File(path, "w") as file:
+        file.attrs["format"] = 1
+        file.attrs["dataset"] = calibration.name
+        file.attrs["dataset_sha256"] = calibration.sha256
+        file.attrs["seed"] = calibration.seed
+        for entry in entries(calibration):
+            texts = not isinstance(entry.values, np.ndarray)
+            data = np.array(entry.values, dtype=h5py.string_dtype()) if texts else entry.values
+            dataset = file.create_dataset(entry.path, data=data)
+            several = not isinstance(entry.units, str)
+            dataset.attrs["units"] = list(entry.units) if several else entry.units
+            dataset.attrs["meaning"] = entry.meaning
+
+
+def entries(calibration: Calibration) -> Iterator[Entry]:
+    """Yield all arrays of a calibration."""
+    if calibration.gaze is not None:
+        yield from _gaze(calibration.gaze)
+
+
+def _gaze(g: GazeResult) -> Iterator[Entry]:
+    yield from _rows("observations", g.rows)
+    if g.linear is not None:
+        yield Entry("fits/base/linear/values", g.linear.values, _units(g.linear.names), "estimate")
+        yield Entry("fits/base/linear/residual", g.linear.residual_mrad, "mrad", "of each row")
+    if g.convex is not None:
+        yield Entry("fits/base/convex/values", g.convex.values, _units(g.convex.names), "estimate")
+        yield Entry("fits/base/convex/residual", g.convex.residual_mrad, "mrad", "of each row")
+    for name, fit in g.robust.items():
+        yield from _robust(f"fits/{name}/robust", fit)
+    for name, posterior in g.posterior.items():
+        yield from _posterior(f"fits/{name}/posterior", posterior)
+    for score in g.comparison.scores if g.comparison is not None else ():
+        where = f"comparison/{score.model}"
+        meaning = "expected log predictive density of each row"
+        yield Entry(f"{where}/loo_pointwise", score.pointwise, "1", meaning)
+        yield Entry(f"{where}/pareto_k", score.pareto_k, "1", "Pareto shape of each row's weights")
+    yield from _depths(g)
+
+
+def _rows(where: str, rows: Observations) -> Iterator[Entry]:
+    yield Entry(f"{where}/id", rows.ids, "", "name of each row")
+    yield Entry(f"{where}/group", rows.groups, "", "rows that were left out together")
+    yield Entry(f"{where}/x1c", rows.x1c, "1", "normalised, undistorted coordinate in C1")
+    yield Entry(f"{where}/y1c", rows.y1c, "1", "normalised, undistorted coordinate in C1")
+    yield Entry(f"{where}/alpha2", rows.alpha2_rad, "rad", "encoder reading")
+    yield Entry(f"{where}/gaze_residual", rows.gaze_residual_rad, "rad", "from C2's image")
+    yield Entry(f"{where}/z", rows.z_mm, "mm", "reference depth")
+    units = ("1", "1", "rad", "rad", "mm")
+    meaning = "standard uncertainty of x1c, y1c, alpha2, gaze residual, z: each row's own part"
+    yield Entry(f"{where}/std", rows.std, units, meaning)
+    if rows.shared_names:
+        meaning = "effect of each shared standard-normal error on x1c, y1c, alpha2, residual, z"
+        yield Entry(f"{where}/shared", rows.shared, units, meaning)
+
+
+def _units(names: Sequence[str]) -> list[str]:
+    """Return the units of parameters; the logarithm of the noise scale has 1."""
+    return [PARAMETERS[INDEX[name]].unit if name in INDEX else "1" for name in names]
+
+
+def _robust(where: str, fit: RobustFit) -> Iterator[Entry]:
+    units = _units(fit.names)
+    yield Entry(f"{where}/names", fit.names, "", "parameters, in the order of the other arrays")
+    yield Entry(f"{where}/values", fit.values, units, "estimate")
+    yield Entry(f"{where}/covariance", fit.covariance, units, "row by column, product of units")
+    yield Entry(f"{where}/residual", fit.residual_mrad, "mrad", "(num / z) - (x1c + cot a)")
+    yield Entry(f"{where}/standardised", fit.standardised, "1", "closure over stated uncertainty")
+
+
+def _posterior(where: str, p: Posterior) -> Iterator[Entry]:
+    units = _units(p.names)
+    yield Entry(f"{where}/names", p.names, "", "sampled quantities, last axis of the draws")
+    yield Entry(f"{where}/draws", p.draws, units, "ensembles x thinned draws x quantities")
+    yield Entry(f"{where}/covariance", p.covariance, units, "row by column, product of units")
+    yield Entry(f"{where}/ess_bulk", p.ess_bulk, "1", "effective draws in the bulk")
+    yield Entry(f"{where}/ess_tail", p.ess_tail, "1", "effective draws in the tails")
+    yield Entry(f"{where}/r_hat", p.r_hat, "1", "across independent ensembles")
+    yield Entry(f"{where}/tau", p.tau, "steps", "autocorrelation time")
+
+
+def _depths(g: GazeResult) -> Iterator[Entry]:
+    tables = []
+    if g.depths is not None:
+        yield Entry("depth_uncertainty/z", g.depths.depth_mm, "mm", "true depth of the target")
+        tables.append(("depth_uncertainty", g.depths.prediction))
+    if g.validation is not None:
+        yield Entry("validation/id", g.validation.ids, "", "name of each row")
+        yield Entry("validation/position", g.validation.position_mm, "mm", "x, y, z in C1")
+        yield Entry(
+            "validation/reference", g.validation.reference_mm, "mm", "first reference depth"
+        )
+        tables.append(("validation", g.validation.prediction))
+    for where, p in tables:
+        yield Entry(f"{where}/measured", p.z_mm, "mm", "depth at the best estimates")
+        yield Entry(f"{where}/u", p.u_mm, "mm", "standard uncertainty, posterior predictive")
+        yield Entry(f"{where}/low95", p.low95_mm, "mm", "95 % interval")
+        yield Entry(f"{where}/high95", p.high95_mm, "mm", "95 % interval")
+        yield Entry(f"{where}/gum_u", p.gum_u_mm, "mm", "by the linear law of propagation")

@@ -1,0 +1,347 @@
+"""The annexes: everything that stands behind the two pages."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from calib.certificate.data import Annex, Table
+from calib.certificate.inputs import CalibrationSummary, CertificateInputs, Evidence, Provenance
+from calib.certificate.numbers import check_error, depth_line, length_result, symbol
+from calib.certificate.wording import EXTRAPOLATED, LENGTHS_NOTE, VERDICTS, clean
+from calib.gates import Gate
+from calib.geometry.parameters import INDEX, PARAMETERS
+from calib.uncertainty.budget import Budget, BudgetRow
+from calib.uncertainty.certified import CertifiedDepth, CheckedDepth
+from calib.uncertainty.depth import DepthUncertainty
+from calib.uncertainty.format import (
+    SHOWN,
+    at_place,
+    fixed,
+    interval,
+    percent_down,
+    significant,
+    with_uncertainty,
+)
+from calib.uncertainty.lengths import LengthError
+
+NONE = "-"
+"""Of a cell that has nothing to say."""
+
+
+def annexes(inputs: CertificateInputs) -> tuple[Annex, ...]:
+    """Return all annexes that the data have something for."""
+    evidence, calibration = inputs.evidence, inputs.calibration
+    found = [
+        _budgets(evidence.depths),
+        _monte_carlo(evidence.depths),
+        _positions(evidence.depths),
+        _checks(evidence),
+        _lengths(evidence),
+        _correlations(calibration),
+        _provenance(inputs.provenance, inputs.gates),
+    ]
+    return tuple(annex for annex in found if annex is not None)
+
+
+def _budgets(depths: Sequence[CertifiedDepth]) -> Annex | None:
+    if not depths:
+        return None
+    return Annex(
+        title="Uncertainty budgets",
+        introduction=(
+            "JCGM 100. Sensitivities are derivatives of depth at the stated ray. A correlated pair "
+            "has a row of its own, negative where errors cancel. Shares add up to 100 % before "
+            "rounding."
+        ),
+        tables=tuple(_budget(d.result) for d in depths),
+    )
+
+
+def _budget(r: DepthUncertainty) -> Table:
+    b = r.budget
+    rows = [_budget_row(row) for row in b.rows]
+    for pair in b.correlations:
+        both = f"r({symbol(pair.first)}, {symbol(pair.second)})"
+        share = fixed(pair.share_percent, 1)
+        rows.append((both, significant(pair.correlation), *[NONE] * 6, share))
+    u = with_uncertainty(b.estimate, b.standard_uncertainty)
+    rows.append(("depth z", f"{u.value} mm", f"{u.uncertainty} mm", *[NONE] * 5, "100.0"))
+    return Table(
+        title=f"Depth {u.value} mm at x1c = {fixed(r.x1c, 3)}",
+        columns=(
+            "Quantity", "Estimate", "u", "Type", "Distribution", "ν", "Sensitivity",
+            "|c| u / mm", "Share / %",
+        ),
+        rows=tuple(rows),
+        note=_freedom(b),
+        words=(0, 3, 4),
+    )  # fmt: skip
+
+
+def _budget_row(row: BudgetRow) -> tuple[str, ...]:
+    q, shown = row.input, SHOWN[row.input.unit]
+    both = with_uncertainty(q.estimate * shown.factor, q.standard_uncertainty * shown.factor)
+    unit = "" if shown.unit == "1" else f" {shown.unit}"
+    per = "mm" if shown.unit == "1" else f"mm/{shown.unit}"
+    return (
+        symbol(q.name),
+        both.value + unit,
+        both.uncertainty + unit,
+        q.evaluation,
+        q.distribution,
+        _count(q.degrees_of_freedom),
+        f"{significant(q.sensitivity / shown.factor)} {per}",
+        significant(row.contribution),
+        fixed(row.share_percent, 1),
+    )
+
+
+def _count(freedom: float | None) -> str:
+    """Return degrees of freedom, rounded down."""
+    if freedom is None:
+        return NONE
+    return "∞" if math.isinf(freedom) else str(math.floor(freedom + 1e-9))
+
+
+def _freedom(b: Budget) -> str:
+    if b.coverage_factor is None or b.degrees_of_freedom is None:
+        return f"Effective degrees of freedom {b.freedom_note}; no coverage factor is given."
+    return (
+        f"Effective degrees of freedom {_count(b.degrees_of_freedom)} ({b.freedom_note}); "
+        f"k = {fixed(b.coverage_factor, 2)} for 95 %."
+    )
+
+
+def _monte_carlo(depths: Sequence[CertifiedDepth]) -> Annex | None:
+    if not depths:
+        return None
+    return Annex(
+        title="Monte Carlo and validation of the first-order law",
+        introduction=(
+            "JCGM 101, adaptive procedure (7.9) to two significant digits of u. Clause 8: the linear "
+            "interval is validated if its ends differ from those of the symmetric Monte Carlo "
+            "interval by no more than the numerical tolerance δ. Where the budget gives no k, the "
+            "comparison is made with 1.96, and the linear interval is not stated."
+        ),
+        tables=(
+            Table(
+                title="Distribution of the measured depth, mm",
+                columns=(
+                    "Depth", "Mean", "u", "Symmetric 95 %", "Shortest 95 %", "Linear 95 %",
+                    "Difference of ends", "δ", "Validated", "Trials", "Ends known to",
+                ),
+                rows=tuple(_monte_carlo_row(d.result) for d in depths),
+                note=_numerical_note(depths),
+                words=(8,),
+            ),
+        ),
+    )  # fmt: skip
+
+
+def _monte_carlo_row(r: DepthUncertainty) -> tuple[str, ...]:
+    mc, v = r.monte_carlo, r.validation
+    u = mc.standard_uncertainty
+    place = u if u is not None else mc.tolerance * 20
+
+    def ends(low: float, high: float) -> str:
+        return "{} to {}".format(*interval(low, high, uncertainty=place))
+
+    return (
+        at_place(r.z_mm, uncertainty=place),
+        NONE if mc.estimate is None else at_place(mc.estimate, uncertainty=place),
+        NONE if u is None else with_uncertainty(0.0, u).uncertainty,
+        ends(mc.symmetric.low, mc.symmetric.high),
+        ends(mc.shortest.low, mc.shortest.high),
+        ends(v.linear.low, v.linear.high),
+        f"{significant(v.difference_low, digits=2)}, {significant(v.difference_high, digits=2)}",
+        significant(v.tolerance, digits=1),
+        "yes" if v.validated else "no",
+        str(mc.trials),
+        f"±{significant(max(mc.numerical_low, mc.numerical_high), digits=2)}",
+    )
+
+
+def _numerical_note(depths: Sequence[CertifiedDepth]) -> str:
+    notes = []
+    if any(not d.result.monte_carlo.stable for d in depths):
+        notes.append("The number of trials did not suffice everywhere: see the last column.")
+    if any(d.result.monte_carlo.limited_by_draws for d in depths):
+        notes.append(
+            "The ends are known less well than δ because the posterior has a finite number of "
+            "independent draws; more trials would not help."
+        )
+    return " ".join(notes)
+
+
+def _positions(depths: Sequence[CertifiedDepth]) -> Annex | None:
+    if not depths:
+        return None
+    rows = []
+    for line in (depth_line(d) for d in depths):
+        g = line.region
+        rows.append(
+            (
+                ", ".join(g.position),
+                ", ".join(g.uncertainty),
+                ", ".join(g.correlation),
+                g.coverage_factor,
+                ", ".join(g.semi_axes),
+                "({})".format(", ".join(g.longest_axis)),
+            )
+        )
+    return Annex(
+        title="Position",
+        introduction=(
+            "JCGM 102. Frame of the monitor camera C1: X right, Y down, Z forward, origin at its "
+            "optical centre. The ellipsoid has the shape of the covariance and holds 95 % of the "
+            "Monte Carlo trials; a normal distribution would have k = 2.80."
+        ),
+        tables=(
+            Table(
+                title="Position with its 95 % ellipsoid",
+                columns=(
+                    "x, y, z / mm", "u(x), u(y), u(z) / mm", "r(x,y), r(x,z), r(y,z)", "k",
+                    "Semi-axes / mm", "Direction of the longest",
+                ),
+                rows=tuple(rows),
+                words=(),
+            ),
+        ),
+    )  # fmt: skip
+
+
+def _checks(evidence: Evidence) -> Annex | None:
+    if not evidence.checks:
+        return None
+    return Annex(
+        title="Independent check",
+        introduction=(
+            f"Reference: {clean(evidence.check_reference)}. None of these points took part in the "
+            "calibration. U is the 95 % uncertainty of the error, that of the reference included."
+        ),
+        tables=(
+            Table(
+                title="Measured against reference depth",
+                columns=(
+                    "Point", "Reference / mm", "Measured / mm", "95 % interval / mm", "Error / mm",
+                    "U / mm", "Error / %", "Conformance / %", "Statement",
+                ),
+                rows=tuple(_check_row(c) for c in evidence.checks),
+                words=(0, 8),
+            ),
+        ),
+    )  # fmt: skip
+
+
+def _check_row(c: CheckedDepth) -> tuple[str, ...]:
+    error = check_error(c)
+    finite = math.isfinite(c.high95_mm)
+    half = max(c.z_mm - c.low95_mm, c.high95_mm - c.z_mm) if finite else c.z_mm - c.low95_mm
+    place = half / 2 if half > 0 else 1.0
+    low, high = interval(c.low95_mm, c.high95_mm if finite else c.z_mm, uncertainty=place)
+    expanded = math.hypot(half, 2 * c.u_reference_mm)
+    statement = NONE if c.conformity is None else VERDICTS[c.conformity.verdict]
+    if c.extrapolated:
+        statement = EXTRAPOLATED if c.conformity is None else f"{statement} ({EXTRAPOLATED})"
+    return (
+        clean(c.name),
+        significant(c.reference_mm, digits=5),
+        at_place(c.z_mm, uncertainty=place),
+        f"{low} to {high if finite else '∞'}",
+        error.value,
+        with_uncertainty(0.0, expanded).uncertainty if finite else "∞",
+        fixed(100 * (c.z_mm / c.reference_mm - 1), 2),
+        NONE if c.conformity is None else percent_down(c.conformity.probability),
+        statement,
+    )
+
+
+def _lengths(evidence: Evidence) -> Annex | None:
+    if not evidence.lengths:
+        return None
+    return Annex(
+        title="Lengths",
+        introduction=LENGTHS_NOTE,
+        tables=(
+            Table(
+                title="Measured against reference lengths",
+                columns=("Length", "Reference / mm", "Measured / mm", "Error / mm", "U / mm"),
+                rows=tuple(_length_row(e) for e in evidence.lengths),
+                note=length_limit_words(evidence),
+            ),
+        ),
+    )
+
+
+def _length_row(e: LengthError) -> tuple[str, ...]:
+    error = length_result(e)
+    return (
+        error.name,
+        significant(e.reference_mm, digits=5),
+        at_place(e.measured_mm, uncertainty=e.standard_uncertainty_mm),
+        error.value,
+        with_uncertainty(0.0, e.expanded_uncertainty_mm).uncertainty,
+    )
+
+
+def length_limit_words(evidence: Evidence) -> str:
+    """Return the limit A + K L in words; empty without one."""
+    limit = evidence.length_limit
+    if limit is None:
+        return ""
+    return (
+        f"Limit of the error of length: {significant(limit.constant_mm)} mm + "
+        f"{significant(limit.slope)} L for L from {significant(limit.shortest_mm, digits=4)} mm to "
+        f"{significant(limit.longest_mm, digits=4)} mm ({limit.count} "
+        f"length{'s' if limit.count > 1 else ''})."
+    )
+
+
+def _correlations(calibration: CalibrationSummary) -> Annex:
+    p = calibration.instrument.parameters
+    u = np.sqrt(np.diag(p.covariance))
+    r = p.covariance / np.outer(u, u)
+    symbols = tuple(PARAMETERS[INDEX[name]].symbol for name in p.names)
+    rows = tuple(
+        (symbols[i], *(fixed(float(r[i, j]), 5) for j in range(len(symbols))))
+        for i in range(len(symbols))
+    )
+    return Annex(
+        title="Correlation of the parameters",
+        introduction=(
+            "Parameters of one calibration must be used together: with their standard "
+            "uncertainties alone a depth would come out with an uncertainty far too large or far "
+            "too small. The covariance itself is in the digital certificate."
+        ),
+        tables=(Table(title="Correlation coefficients", columns=("", *symbols), rows=rows),),
+    )
+
+
+def _provenance(p: Provenance, gates: Sequence[Gate]) -> Annex:
+    facts = [
+        ("Dataset", f"{clean(p.dataset_title)} ({clean(p.dataset_name)})"),
+        ("Source of the data", clean(p.citation)),
+        ("SHA-256 of the dataset", p.dataset_sha256),
+        ("Seed of the random numbers", str(p.seed)),
+        ("Software", ", ".join(f"{clean(name)} {clean(version)}" for name, version in p.software)),
+        ("Commit", clean(p.commit)),
+    ]
+    checks = tuple((clean(g.name), "passed" if g.passed else "FAILED", clean(g.detail)) for g in gates)
+    tables = [Table(title="Data and software", columns=("", ""), rows=tuple(facts), words=(0, 1))]
+    if checks:
+        tables.append(
+            Table(
+                title="Checks of the calibration",
+                columns=("Check", "Outcome", "Detail"),
+                rows=checks,
+                words=(0, 1, 2),
+            )
+        )
+    return Annex(
+        title="Data, software and checks",
+        introduction="Equal dataset, seed and versions give equal results.",
+        tables=tuple(tables),
+    )

@@ -1,0 +1,232 @@
+"""What a certificate is made from: frozen, and free of any wording."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import UTC, datetime
+
+from calib.gates import Gate
+from calib.uncertainty.certified import CertifiedDepth, CheckedDepth
+from calib.uncertainty.conformity import ToleranceRule
+from calib.uncertainty.lengths import LengthError, LengthLimit
+from calib.uncertainty.measurement import Instrument
+
+PREFIX = "AG"
+"""Identifiers start with it: active gazing."""
+
+
+@dataclass(frozen=True)
+class Administration:
+    """What the manifest says in [certificate]; None where it is silent.
+
+    Parameters
+    ----------
+    laboratory, address
+        Who calibrates, and where they live.
+    customer
+        Name and contact.
+    instrument, serial, condition
+        The item, its serial number, its state on receipt.
+    location, date
+        Place and date (ISO 8601) of the calibration.
+    operator, approved_by
+        Who calibrated, and who authorises the certificate.
+    temperature_c, humidity_percent
+        Conditions.
+    deviations
+        Additions to, deviations or exclusions from the method.
+    country
+        Two capitals, ISO 3166-1, for the DCC.
+    replaces, amendment
+        Identifier of the certificate this one replaces, and why.
+    """
+
+    laboratory: str | None = None
+    address: str | None = None
+    customer: str | None = None
+    instrument: str | None = None
+    serial: str | None = None
+    condition: str | None = None
+    location: str | None = None
+    date: str | None = None
+    operator: str | None = None
+    approved_by: str | None = None
+    temperature_c: float | None = None
+    humidity_percent: float | None = None
+    deviations: str | None = None
+    country: str | None = None
+    replaces: str | None = None
+    amendment: str | None = None
+
+
+@dataclass(frozen=True)
+class Issue:
+    """Identifier and date of issue (ISO 8601, UTC) of one certificate."""
+
+    identifier: str
+    issued: str
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """Data and software behind the certificate.
+
+    Parameters
+    ----------
+    dataset_name, dataset_title, dataset_sha256
+        The dataset.
+    citation
+        Where its data come from; None if not stated.
+    seed
+        Of all random numbers.
+    software
+        Name and version, calib first.
+    commit
+        Of calib; None outside a repository.
+    """
+
+    dataset_name: str
+    dataset_title: str
+    dataset_sha256: str
+    citation: str | None
+    seed: int
+    software: tuple[tuple[str, str], ...]
+    commit: str | None
+
+
+@dataclass(frozen=True)
+class Derived:
+    """A quantity that follows from the parameters: name, meaning, value and u in `unit`."""
+
+    name: str
+    meaning: str
+    unit: str
+    value: float
+    std: float
+
+
+@dataclass(frozen=True)
+class CalibrationSummary:
+    """The calibration that is certified.
+
+    Parameters
+    ----------
+    model
+        Name of the selected model.
+    instrument
+        Parameters with their joint distribution, and the errors of a reading.
+    identified_by
+        "data", "prior" or "both", one a parameter.
+    estimator
+        How the parameters were found, as printed.
+    rows, outliers
+        Number of calibration rows, and ids of those that disagree with the others.
+    reference
+        What the reference depths are; None if not stated.
+    calibrated_mm
+        Least and greatest reference depth.
+    noise_factor
+        Factor by which the stated uncertainties of a reading were widened, 1 if not.
+    derived
+        Further quantities.
+    intrinsics
+        Where the intrinsics of C1 come from, as printed; None if not stated.
+    """
+
+    model: str
+    instrument: Instrument
+    identified_by: tuple[str, ...]
+    estimator: str
+    rows: int
+    outliers: tuple[str, ...]
+    reference: str | None
+    calibrated_mm: tuple[float, float]
+    noise_factor: float = 1.0
+    derived: tuple[Derived, ...] = ()
+    intrinsics: str | None = None
+
+
+@dataclass(frozen=True)
+class NotCertified:
+    """A depth of which no uncertainty can be stated, and why."""
+
+    depth_mm: float
+    reason: str
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What was found out about the accuracy.
+
+    Parameters
+    ----------
+    depths
+        Certified depths, nearest first.
+    not_certified
+        Depths without an upper limit.
+    checks, check_reference
+        Measured depths against a reference that the calibration has not seen, and what it is.
+    lengths, length_limit
+        Measured lengths against reference lengths; None without lengths.
+    tolerance
+        None where the manifest states none.
+    """
+
+    depths: tuple[CertifiedDepth, ...]
+    not_certified: tuple[NotCertified, ...] = ()
+    checks: tuple[CheckedDepth, ...] = ()
+    check_reference: str | None = None
+    lengths: tuple[LengthError, ...] = ()
+    length_limit: LengthLimit | None = None
+    tolerance: ToleranceRule | None = None
+
+
+@dataclass(frozen=True)
+class CertificateInputs:
+    """All of it.
+
+    Parameters
+    ----------
+    gates
+        Checks of the calibration; if one failed the certificate says that it must not be used.
+    warnings
+        What the reader should know and no gate covers.
+    """
+
+    administration: Administration
+    issue: Issue
+    provenance: Provenance
+    calibration: CalibrationSummary
+    evidence: Evidence
+    gates: tuple[Gate, ...] = ()
+    warnings: tuple[str, ...] = ()
+
+
+def new_issue(*, now: datetime, dataset_sha256: str, token: str) -> Issue:
+    """Return identifier and date of a new certificate.
+
+    The identifier holds the second, the dataset and `token`, so that neither two runs in one
+    second nor one run on two machines repeat it.
+
+    Parameters
+    ----------
+    now
+        Aware time of issue.
+    token
+        Hexadecimal digits from a source that does not repeat, 12 of them or more: for example
+        ``secrets.token_hex(6)``. Not from the seed: equal seeds issue different certificates.
+
+    Raises
+    ------
+    ValueError
+        If the time has no zone, or the token is too short or not hexadecimal.
+    """
+    if now.tzinfo is None:
+        raise ValueError("the time of issue needs a time zone")
+    if len(token) < 12 or not set(token) <= set("0123456789abcdef"):
+        raise ValueError("the token needs 12 hexadecimal digits or more")
+    moment = now.astimezone(UTC)
+    identifier = "-".join(
+        [PREFIX, moment.strftime("%Y%m%dT%H%M%SZ"), dataset_sha256[:8], token]
+    )
+    return Issue(identifier=identifier.upper(), issued=moment.date().isoformat())

@@ -1,0 +1,303 @@
+"""dataset.toml, format 1: what a manifest may say.
+
+The models are frozen and know nothing of files. Lengths are in mm; angles in the unit of their
+name, degrees as encoders read; pixels have their origin at the centre of the top-left pixel.
+"""
+
+from __future__ import annotations
+
+from typing import Final, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from calib.dataset.fields import (
+    AngleDeg,
+    CameraMatrix,
+    CornerCount,
+    Day,
+    DepthTolerance,
+    Flag,
+    Line,
+    NotNegative,
+    Number,
+    Percent,
+    Pixels,
+    Pose,
+    Positive,
+    Priors,
+    Prose,
+    SquareMm,
+    StepDeg,
+    Target,
+    UAngleDeg,
+    UX1c,
+    UZRel,
+    refuse,
+)
+from calib.dataset.words import shown, suggestion
+
+CAMERAS: Final = ("c1", "c2")
+
+DEFAULT_U_X1C = 0.0002
+"""A corner found to 0.1 px by a lens of 500 px; taken, with a warning, where nothing is stated."""
+
+DISTORTION_LENGTHS = (0, 4, 5, 8, 12, 14)
+"""Of OpenCV's lens models: k1 k2 p1 p2, k3, k4 k5 k6, s1 s2 s3 s4, tx ty."""
+
+DICTIONARIES = (
+    *(f"DICT_{n}X{n}_{count}" for n in (4, 5, 6, 7) for count in (50, 100, 250, 1000)),
+    "DICT_ARUCO_ORIGINAL",
+    "DICT_ARUCO_MIP_36h12",
+    *(f"DICT_APRILTAG_{kind}" for kind in ("16h5", "25h9", "36h10", "36h11")),
+)
+"""Marker sets that OpenCV knows by name."""
+
+
+class Section(BaseModel):
+    """A table of the manifest: frozen, and without room for unknown keys."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class Source(Section):
+    """Where the data come from; printed, never interpreted."""
+
+    citation: Prose | None = None
+    doi: Line | None = None
+    url: Line | None = None
+    license: Line | None = None
+    notes: Prose | None = None
+
+
+class Board(Section):
+    """The calibration board; `columns` and `rows` count inner corners.
+
+    `corners` is a corner cache in mrcal's format; `target` the corner that is gazed at.
+    """
+
+    type: Literal["chessboard", "charuco"]
+    columns: CornerCount
+    rows: CornerCount
+    square_mm: SquareMm
+    corners: Line | None = None
+    target: Target = None
+    dictionary: Line | None = None
+    marker_mm: Positive | None = None
+    legacy: Flag = False
+
+    @property
+    def has_centre(self) -> bool:
+        """Whether one corner is the board's centre."""
+        return self.columns % 2 == 1 and self.rows % 2 == 1
+
+    @property
+    def target_corner(self) -> tuple[int, int] | None:
+        """Column and row of the gazed corner; None if unstated on a board without a centre."""
+        if isinstance(self.target, tuple):
+            return self.target
+        return (self.columns // 2, self.rows // 2) if self.has_centre else None
+
+    @model_validator(mode="after")
+    def _check_target(self) -> Board:
+        if self.target == "centre" and not self.has_centre:
+            refuse(
+                f'target = "centre", but no corner of {self.columns} x {self.rows} is the centre',
+                "give the gazed corner as [column, row], counted from 0",
+            )
+        if isinstance(self.target, tuple):
+            column, row = self.target
+            if column >= self.columns or row >= self.rows:
+                refuse(
+                    f"target [{column}, {row}] is not on the board",
+                    f"columns run from 0 to {self.columns - 1}, rows from 0 to {self.rows - 1}",
+                )
+        return self
+
+    @model_validator(mode="after")
+    def _check_markers(self) -> Board:
+        if self.type == "chessboard":
+            if self.dictionary is not None or self.marker_mm is not None or self.legacy:
+                refuse(
+                    "a chessboard has no dictionary, marker_mm or legacy",
+                    'remove them, or write type = "charuco"',
+                )
+            return self
+        if self.dictionary is None or self.marker_mm is None:
+            refuse(
+                "a charuco board needs dictionary and marker_mm",
+                'add, for example, dictionary = "DICT_5X5_100" and marker_mm = 15.0',
+            )
+        if self.dictionary not in DICTIONARIES:
+            refuse(
+                f"unknown dictionary {shown(self.dictionary)}",
+                suggestion(self.dictionary, DICTIONARIES),
+            )
+        if self.marker_mm >= self.square_mm:
+            refuse(
+                f"marker_mm = {self.marker_mm:g} does not fit into square_mm = {self.square_mm:g}",
+                "check that they are not exchanged",
+            )
+        return self
+
+
+class Camera(Section):
+    """One camera: images of the board, a finished model, or given intrinsics."""
+
+    image_size: tuple[Pixels, Pixels] | None = None
+    images: Line | None = None
+    model: Line | None = None
+    matrix: CameraMatrix | None = None
+    distortion: tuple[Number, ...] | None = None
+
+    @model_validator(mode="after")
+    def _check_source(self) -> Camera:
+        sources = [n for n in ("images", "model", "matrix") if getattr(self, n) is not None]
+        if len(sources) != 1:
+            what = " and ".join(sources) + " are given" if sources else "none is given"
+            refuse(
+                f"exactly one of images, model and matrix is needed, {what}",
+                "keep the one the intrinsics are to come from",
+            )
+        if self.image_size is None and self.model is None:
+            refuse("image_size is missing", "add image_size = [width, height] in pixels")
+        return self
+
+    @model_validator(mode="after")
+    def _check_matrix(self) -> Camera:
+        if self.distortion is not None and self.matrix is None:
+            refuse("distortion is given without matrix", "give both, or neither")
+        if len(self.distortion or ()) not in DISTORTION_LENGTHS:
+            refuse(
+                f"distortion has {len(self.distortion or ())} coefficients",
+                f"OpenCV's models have {', '.join(map(str, DISTORTION_LENGTHS))}",
+            )
+        if self.matrix is not None and self.image_size is not None:
+            centre = self.matrix[0][2], self.matrix[1][2]
+            if not all(0 < c < size for c, size in zip(centre, self.image_size, strict=True)):
+                refuse(
+                    f"the principal point ({centre[0]:g}, {centre[1]:g}) lies outside the image",
+                    "check matrix and image_size; they must belong to images of one size",
+                )
+        return self
+
+
+class Cameras(Section):
+    """The monitor camera C1 and the gazing camera C2."""
+
+    c1: Camera | None = None
+    c2: Camera | None = None
+
+
+class Stereo(Section):
+    """The stereo reference: C2 held at one yaw. `transform` is 1T2, the pose of C2 in C1."""
+
+    c1: Line | None = None
+    c2: Line | None = None
+    alpha2_deg: AngleDeg | None = None
+    transform: Pose | None = None
+
+    @property
+    def has_images(self) -> bool:
+        """Whether there are image pairs."""
+        return self.c1 is not None
+
+    @model_validator(mode="after")
+    def _check_source(self) -> Stereo:
+        if (self.c1 is None) != (self.c2 is None):
+            refuse("only one of c1 and c2 is given", "give the images of both cameras")
+        if self.c1 is None and self.transform is None:
+            refuse("neither image pairs nor a transform are given", "add c1 and c2, or transform")
+        if self.transform is None and self.alpha2_deg is None:
+            refuse("alpha2_deg is missing", "add the encoder reading while the pairs were taken")
+        return self
+
+
+class Encoder(Section):
+    """The yaw encoder: one count or microstep, and what else is uncertain of a reading."""
+
+    resolution_deg: StepDeg
+    u_alpha2_deg: UAngleDeg = 0.0
+
+    @property
+    def std_rad(self) -> float:
+        """Standard uncertainty of a reading, rad: a uniform step and the rest."""
+        step = self.resolution_deg / np.sqrt(12)
+        return float(np.deg2rad(np.hypot(step, self.u_alpha2_deg)))
+
+
+class Gaze(Section):
+    """Calibration rows, and the standard uncertainties of rows that state none."""
+
+    table: Line
+    reference: Line = "not stated"
+    u_x1c: UX1c = DEFAULT_U_X1C
+    u_z_mm: NotNegative = 0.0
+    u_z_rel: UZRel = 0.0
+
+
+class Validation(Section):
+    """Rows that are never used to fit; `reference` says what their z_mm is."""
+
+    table: Line
+    reference: Line = "not stated"
+    u_z_mm: NotNegative = 0.0
+    u_z_rel: UZRel = 0.0
+
+
+class Table(Section):
+    """A section that names a table and nothing else: sweep, lengths."""
+
+    table: Line
+
+
+class Tolerance(Section):
+    """What depth is certified against, in parts of z."""
+
+    depth_rel: DepthTolerance
+
+
+class Certificate(Section):
+    """What the certificate prints; "not stated" where it is silent."""
+
+    laboratory: Line | None = None
+    address: Prose | None = None
+    customer: Prose | None = None
+    instrument: Line | None = None
+    serial: Line | None = None
+    location: Line | None = None
+    date: Day | None = None
+    operator: Line | None = None
+    approved_by: Line | None = None
+    temperature_c: Number | None = None
+    humidity_percent: Percent | None = None
+    tolerance: Tolerance | None = None
+    decision_rule: Literal["simple", "guard-band"] = "simple"
+
+
+class Manifest(Section):
+    """A whole dataset.toml."""
+
+    format: Literal[1]
+    name: Line
+    title: Line = ""
+    source: Source = Source()
+    board: Board | None = None
+    cameras: Cameras = Cameras()
+    stereo: Stereo | None = None
+    encoder: Encoder | None = None
+    gaze: Gaze | None = None
+    validation: Validation | None = None
+    sweep: Table | None = None
+    lengths: Table | None = None
+    priors: Priors = Field(default_factory=dict)
+    certificate: Certificate = Certificate()
+
+    @property
+    def heading(self) -> str:
+        """What reports call the dataset."""
+        return self.title or self.name
+
+    def camera(self, name: str) -> Camera | None:
+        """Return the section of camera "c1" or "c2"."""
+        return {"c1": self.cameras.c1, "c2": self.cameras.c2}[name]

@@ -1,0 +1,136 @@
+"""The tables of a dataset, as columns: gaze and validation rows, sweep, lengths.
+
+Arrays have shape (n,), rows in the order of the file, NaN where a row has no value, and cannot be
+written to. `calib.dataset.readers` makes these tables from text.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.arrays import FloatArray
+
+
+@dataclass(frozen=True)
+class GazeTable:
+    """Gazes at targets: calibration, validation or measurement rows.
+
+    Of each row exactly one source of the C1 coordinate, of the encoder reading and (but for
+    measurements) of the reference is filled.
+
+    Parameters
+    ----------
+    file
+        Name for messages.
+    line
+        Line of each row in the file.
+    ids
+        Unique names.
+    groups
+        Rows that cross-validation keeps together; the id where none is given.
+    x1c, y1c
+        Normalised, undistorted coordinates in C1; y1c all NaN where the table does not say it.
+    u1_px, v1_px
+        Raw pixels in C1.
+    image_c1
+        Image of the board by C1, relative to the dataset.
+    alpha2_rad
+        Encoder readings, in (0, pi).
+    u2_px
+        The target's column in C2 at the reading.
+    image_c2
+        Image of the board by C2 at the reading.
+    z_mm, u_z_mm
+        Reference depth and its standard uncertainty; the latter NaN where the row gives none.
+    stereo
+        Stem of the image pair that gives the reference instead.
+    references
+        Further references, mm, by their name in ``z_<name>_mm``.
+    depth_row
+        Id of the row whose measured depth this row uses.
+    """
+
+    file: str
+    line: tuple[int, ...]
+    ids: tuple[str, ...]
+    groups: tuple[str, ...]
+    x1c: FloatArray
+    y1c: FloatArray
+    u1_px: FloatArray
+    v1_px: FloatArray
+    image_c1: tuple[str | None, ...]
+    alpha2_rad: FloatArray
+    u2_px: FloatArray
+    image_c2: tuple[str | None, ...]
+    z_mm: FloatArray
+    u_z_mm: FloatArray
+    stereo: tuple[str | None, ...]
+    references: Mapping[str, FloatArray]
+    depth_row: tuple[str | None, ...]
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+
+@dataclass(frozen=True)
+class SweepTable:
+    """Images of C2 turned through known angles before a board at rest.
+
+    Parameters
+    ----------
+    file, line, ids
+        As in `GazeTable`.
+    placements
+        Rows with the same name saw the board at the same place.
+    image_c2
+        Image of the board, relative to the dataset.
+    alpha2_rad
+        Encoder readings, in (0, pi), shape (n,).
+    """
+
+    file: str
+    line: tuple[int, ...]
+    ids: tuple[str, ...]
+    placements: tuple[str, ...]
+    image_c2: tuple[str, ...]
+    alpha2_rad: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+
+@dataclass(frozen=True)
+class LengthTable:
+    """Distances between two measured points.
+
+    Parameters
+    ----------
+    file, line, ids
+        As in `GazeTable`.
+    start, end
+        Ids of the two rows.
+    length_mm, u_length_mm
+        Known distance and its standard uncertainty, shape (n,); NaN where it is yet to be measured.
+    """
+
+    file: str
+    line: tuple[int, ...]
+    ids: tuple[str, ...]
+    start: tuple[str, ...]
+    end: tuple[str, ...]
+    length_mm: FloatArray
+    u_length_mm: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+
+def freeze(table: GazeTable | SweepTable | LengthTable) -> None:
+    """Make the arrays of a table read-only."""
+    arrays = [*vars(table).values(), *vars(table).get("references", {}).values()]
+    for array in arrays:
+        if isinstance(array, np.ndarray):
+            array.setflags(write=False)

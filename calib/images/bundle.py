@@ -1,0 +1,160 @@
+"""Bundle adjustment: projections of board corners with derivatives, and a damped Newton method.
+
+The problem is given as blocks of whitened residuals (one image, one prior), each with the columns
+of its jacobian; the normal equations are summed up block by block.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from calib.arrays import BoolArray, FloatArray, IntArray
+from calib.errors import EstimationError
+from calib.geometry.camera import Camera
+
+MAX_STEPS = 100
+"""Newton steps, damped ones included; from a start by single views some ten suffice."""
+
+DONE = 1e-9
+"""Gain of the whitened cost at which to stop: steps of 3e-5 standard deviations remain."""
+
+_FIRST_DAMPING = 1e-4
+_MAX_DAMPING = 1e12
+
+
+class Projection(NamedTuple):
+    """Pixels, shape (n, 2), and their derivatives by points, (n, 2, 3), and intrinsics."""
+
+    pixels: FloatArray
+    by_point: FloatArray
+    by_intrinsics: FloatArray
+
+
+class Block(NamedTuple):
+    """Whitened residuals, shape (m,), their jacobian, (m, k), and its unknowns' places, (k,)."""
+
+    residuals: FloatArray
+    jacobian: FloatArray
+    columns: IntArray
+
+
+class Normal(NamedTuple):
+    """Normal equations: matrix J'J, shape (n, n), gradient J'r, shape (n,), cost r'r."""
+
+    matrix: FloatArray
+    gradient: FloatArray
+    cost: float
+
+
+class Minimum(NamedTuple):
+    """Where the cost is least, shape (n,), with the normal equations there."""
+
+    x: FloatArray
+    normal: Normal
+
+
+def project_points(camera: Camera, points: FloatArray) -> Projection:
+    """Project points of the camera's frame, mm, shape (n, 3), with derivatives.
+
+    Intrinsics are in the order fx, fy, cx, cy, distortion.
+    """
+    count = len(camera.distortion)
+    still = np.zeros(3)
+    pixels, jacobian = cv2.projectPoints(
+        points, still, still, camera.matrix, camera.distortion if count else None
+    )
+    # Columns: rotation, translation (as good as the point itself), fx fy cx cy, distortion.
+    by_all = jacobian.reshape(len(points), 2, -1)
+    return Projection(pixels.reshape(-1, 2), by_all[..., 3:6], by_all[..., 6 : 10 + count])
+
+
+def bowed(points: FloatArray, warp_mm: tuple[float, float] | None) -> FloatArray:
+    """Return board points, shape (n, 3), mm, with the bow of `LensFit.board_warp_mm` put in.
+
+    The bow is mrcal's: a parabola each along x and along y, 0 at the outer corners.
+    """
+    if warp_mm is None:
+        return points
+    low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
+    place = (points[:, :2] - low) / (high - low)
+    shaped = points.copy()
+    shaped[:, 2] += (4 * place * (1 - place)) @ np.array(warp_mm)
+    return shaped
+
+
+def sum_blocks(blocks: Sequence[Block], size: int) -> Normal:
+    """Sum up the normal equations of `size` unknowns."""
+    matrix, gradient, cost = np.zeros((size, size)), np.zeros(size), 0.0
+    for block in blocks:
+        matrix[np.ix_(block.columns, block.columns)] += block.jacobian.T @ block.jacobian
+        gradient[block.columns] += block.jacobian.T @ block.residuals
+        cost += float(block.residuals @ block.residuals)
+    return Normal(matrix, gradient, cost)
+
+
+def minimise(evaluate: Callable[[FloatArray], Sequence[Block]], start: FloatArray) -> Minimum:
+    """Minimise the sum of squares of the blocks' residuals (Levenberg and Marquardt).
+
+    Raises
+    ------
+    EstimationError
+        If the cost is not finite at the start, or no minimum is reached in `MAX_STEPS`.
+    """
+    x = np.array(start, dtype=np.float64)
+    normal = sum_blocks(evaluate(x), len(x))
+    if not np.isfinite(normal.cost):
+        raise EstimationError("bundle adjustment: the start does not project into the images")
+    damping = _FIRST_DAMPING
+    for _ in range(MAX_STEPS):
+        step, gain = _step(normal, damping)
+        if gain < DONE and damping <= 1:
+            return Minimum(x, normal)
+        trial = sum_blocks(evaluate(x + step), len(x))
+        if trial.cost < normal.cost:
+            x, normal, damping = x + step, trial, damping / 10
+        else:
+            damping *= 10
+        if damping > _MAX_DAMPING:
+            break
+    raise EstimationError(
+        f"bundle adjustment: no minimum within {MAX_STEPS} steps, cost {normal.cost:.3g}; "
+        "check that the images belong to this board and these cameras"
+    )
+
+
+def _step(normal: Normal, damping: float) -> tuple[FloatArray, float]:
+    """Return the damped step and the gain of the cost that it promises."""
+    scale = np.sqrt(np.maximum(np.diag(normal.matrix), 1e-300))
+    scaled = normal.matrix / np.outer(scale, scale)
+    scaled[np.diag_indices_from(scaled)] += damping
+    step = -np.linalg.solve(scaled, normal.gradient / scale) / scale
+    return step, float(-normal.gradient @ step)
+
+
+def inverse(matrix: FloatArray) -> FloatArray:
+    """Return the inverse of a normal matrix, whatever the units of its unknowns.
+
+    Raises
+    ------
+    EstimationError
+        If it is singular: the images leave some unknown open.
+    """
+    scale = np.sqrt(np.diag(matrix))
+    if not np.all(scale > 0):
+        raise EstimationError("bundle adjustment: an unknown does not show in any image")
+    scaled = matrix / np.outer(scale, scale)
+    value = np.linalg.eigvalsh(scaled)
+    if value[0] < len(scaled) * np.finfo(float).eps * value[-1]:
+        raise EstimationError("bundle adjustment: the images leave some unknown open")
+    result: FloatArray = np.linalg.inv(scaled) / np.outer(scale, scale)
+    return result
+
+
+def finite(rows: FloatArray) -> BoolArray:
+    """Return where rows, shape (..., k), are free of NaN, shape (...)."""
+    good: BoolArray = np.asarray(np.isfinite(rows).all(axis=-1))
+    return good

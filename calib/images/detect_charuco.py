@@ -1,0 +1,88 @@
+"""ChArUco boards: each corner is known by the markers around it, so partial views serve too."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from calib.arrays import BoolArray, FloatArray
+from calib.errors import InputError
+from calib.images.detect_board import Found, refine
+from calib.images.detect_grid import irregular, seen
+from calib.images.picture import Grey
+from calib.images.types import Board
+
+CORNERS_MIN = 6
+"""Fewest corners of a view in use: a homography has 8 unknowns, a corner gives 2 equations, and
+two more corners check them."""
+
+LINES_MIN = 2
+"""Fewest rows and columns they must span: corners in one line leave the pose open."""
+
+
+WINDOW_MARKER_SHARE = 0.8
+"""Half a refinement window, as a share of the white rim of the markers: with a marker's corner in
+it, a window of 0.3 spacings moved corners by 0.3 px, while this one halves the 0.04 px of OpenCV's
+own choice."""
+
+WINDOW_MIN_PX, WINDOW_MAX_PX = 4, 20
+"""Where the rim asks for less, OpenCV's corner is the better one."""
+
+
+class CharucoFinder:
+    """A detector for one board. Not shared between threads: OpenCV's keeps state.
+
+    Raises
+    ------
+    InputError
+        If the board lacks its dictionary or marker size, or OpenCV does not know the dictionary.
+    """
+
+    def __init__(self, board: Board) -> None:
+        number = getattr(cv2.aruco, board.dictionary or "", None)
+        if not isinstance(number, int) or not board.marker_mm:
+            raise InputError.single(
+                where="dataset.toml, [board]",
+                what=f"a ChArUco board with dictionary {board.dictionary!r} and marker_mm "
+                f"{board.marker_mm!r} cannot be looked for",
+                remedy="give dictionary as OpenCV names it, like 'DICT_5X5_100', and marker_mm",
+            )
+        self._board = board
+        self._rim = (board.square_mm - board.marker_mm) / 2 / board.square_mm
+        made = cv2.aruco.CharucoBoard(
+            (board.columns + 1, board.rows + 1),
+            board.square_mm,
+            board.marker_mm,
+            cv2.aruco.getPredefinedDictionary(number),
+        )
+        made.setLegacyPattern(board.legacy)
+        self._detector = cv2.aruco.CharucoDetector(made)
+
+    def find(self, grey: Grey) -> Found:
+        """Look for the board in a grey picture; corners not seen are NaN."""
+        corners, ids = self._detector.detectBoard(grey)[:2]
+        pixels = np.full((self._board.corner_count, 2), np.nan)
+        if ids is not None:
+            pixels[np.ravel(ids)] = np.reshape(corners, (-1, 2))
+            pixels = self._settle(grey, pixels)
+        good = _suffices(seen(pixels), self._board)
+        return Found(pixels, "charuco") if good else Found(np.full_like(pixels, np.nan), "none")
+
+    def _settle(self, grey: Grey, pixels: FloatArray) -> FloatArray:
+        """Refine corners and drop those off the grid that the others make."""
+        if not _suffices(seen(pixels), self._board):
+            return pixels
+        pixels = refine(grey, pixels, self._board, self._windows)
+        return np.where(irregular(pixels, self._board)[:, None], np.nan, pixels)
+
+    def _windows(self, gaps: FloatArray) -> FloatArray:
+        """Return half the window of corners with spacings `gaps`, px; 0 leaves a corner alone."""
+        half = np.minimum(np.round(WINDOW_MARKER_SHARE * self._rim * gaps), WINDOW_MAX_PX)
+        return np.where(half < WINDOW_MIN_PX, 0.0, half)
+
+
+def _suffices(found: BoolArray, board: Board) -> bool:
+    """Whether the corners found give a pose."""
+    grid = found.reshape(board.rows, board.columns)
+    lines = min(int(grid.any(axis=0).sum()), int(grid.any(axis=1).sum()))
+    return int(found.sum()) >= CORNERS_MIN and lines >= LINES_MIN

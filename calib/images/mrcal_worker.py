@@ -1,0 +1,234 @@
+"""Solves one calibration with mrcal. Run as a script, by the interpreter that has mrcal.
+
+It stands alone: the standard library, numpy and mrcal only, of whatever age. It reads
+``request.npz`` in the folder named on the command line and leaves ``reply.npz`` there. What the
+arrays are is said in `calib.images.mrcal_process`, the other end.
+
+The stages are those of mrcal's own tool mrcal-calibrate-cameras (https://mrcal.secretsauce.net,
+"How to run a calibration"): a stereographic seed, the poses, the focal length, the lens with
+outlier rejection, the bow of the board.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+MISSING = 4
+"""Exit status when mrcal cannot be imported."""
+
+SEED_DISTORTION = 1e-6
+"""Distortions start this near 0: at 0 itself some of their gradients vanish."""
+
+CORE = 4
+"""Leading intrinsics fx, fy, cx, cy, which every lens model of mrcal has."""
+
+
+class Problem:
+    """One optimisation: mrcal's inputs under the names of the mrcal at hand.
+
+    Its arrays are updated in place by each `optimize`; a corner found to be an outlier gets a
+    negative weight.
+    """
+
+    def __init__(self, mrcal: Any, request: dict[str, Any], header: dict[str, Any]) -> None:
+        self.mrcal = mrcal
+        new_names = hasattr(mrcal.cameramodel, "rt_cam_ref")
+        self.cameras_key = "rt_cam_ref" if new_names else "extrinsics_rt_fromref"
+        self.frames_key = "rt_ref_frame" if new_names else "frames_rt_toref"
+        frame, camera = request["indices"].T
+        self.inputs: dict[str, Any] = {
+            "observations_board": request["observations"],
+            # A camera's place among the extrinsics is one less: the first one is the origin.
+            "indices_frame_camintrinsics_camextrinsics": np.ascontiguousarray(
+                np.stack([frame, camera, camera - 1], axis=-1), dtype=np.int32
+            ),
+            "points": None,
+            "observations_point": None,
+            "indices_point_camintrinsics_camextrinsics": None,
+            "imagersizes": request["image_sizes"].astype(np.int32),
+            "calibration_object_spacing": header["square_mm"],
+            "verbose": False,
+        }
+
+    def start(self, request: dict[str, Any], focal_px: list[float]) -> None:
+        """Put in the caller's starting values, or mrcal's own estimate."""
+        if "start_intrinsics" in request:
+            intrinsics = request["start_intrinsics"]
+            cameras, frames = request["start_cameras"], request["start_frames"]
+        else:
+            intrinsics, cameras, frames = self.mrcal.seed_stereographic(
+                imagersizes=self.inputs["imagersizes"],
+                focal_estimate=focal_px,
+                indices_frame_camera=np.ascontiguousarray(
+                    self.inputs["indices_frame_camintrinsics_camextrinsics"][:, :2]
+                ),
+                observations=self.inputs["observations_board"],
+                object_spacing=self.inputs["calibration_object_spacing"],
+            )
+        self.inputs["intrinsics"] = np.ascontiguousarray(intrinsics)
+        self.inputs[self.cameras_key] = np.ascontiguousarray(cameras)
+        self.inputs[self.frames_key] = np.ascontiguousarray(frames)
+
+    def optimize(self, lens_model: str, *, core: bool, lens: bool, reject: bool) -> dict[str, Any]:
+        """Minimise from where the last call stopped; poses are always free."""
+        self.inputs.update(
+            lensmodel=lens_model,
+            do_optimize_intrinsics_core=core,
+            do_optimize_intrinsics_distortions=lens,
+            do_optimize_extrinsics=True,
+            do_optimize_frames=True,
+            do_apply_regularization=core and lens,
+            do_apply_outlier_rejection=reject,
+        )
+        stats: dict[str, Any] = self.mrcal.optimize(**self.inputs)
+        return stats
+
+    def solve_lens(self, lens_model: str) -> None:
+        """Free poses, focal length and lens, one after the other."""
+        stereographic = "LENSMODEL_STEREOGRAPHIC"
+        self.inputs.update(calobject_warp=None, do_optimize_calobject_warp=False)
+        self.optimize(stereographic, core=False, lens=False, reject=False)
+        self.optimize(stereographic, core=True, lens=False, reject=False)
+        core = self.inputs["intrinsics"][:, :CORE]
+        count = self.mrcal.lensmodel_num_params(lens_model) - CORE
+        lens = SEED_DISTORTION * (2 * np.random.random((len(core), count)) - 1)  # noqa: NPY002 - mrcal itself draws from this generator
+        self.inputs["intrinsics"] = np.concatenate([core, lens], axis=-1)
+        self.optimize(lens_model, core=True, lens=True, reject=True)
+
+    def free_board(self) -> None:
+        """Let the board bow from now on."""
+        self.inputs.update(calobject_warp=np.zeros(2), do_optimize_calobject_warp=True)
+
+
+def linearise(problem: Problem, columns: list[int]) -> dict[str, Any]:
+    """Return residuals, degrees of freedom and the covariance of some state variables.
+
+    The covariance is that of the estimate under equal, independent noise of every corner
+    coordinate: with J the jacobian of the corner residuals and M that of all residuals,
+    regularisation included, it is (M'M)^-1 J'J (M'M)^-1 sigma^2 (mrcal's documentation,
+    "Uncertainty", where M'M is factorised once).
+    """
+    inputs = problem.inputs
+    state, x, jacobian, factorization = problem.mrcal.optimizer_callback(**inputs)
+    observations = inputs["observations_board"]
+    used = observations[..., 2] > 0
+    count = 2 * used.size
+    residuals = -x[:count].reshape(*used.shape, 2)
+    residuals[~used] = np.nan
+    free = max(1, 2 * int(used.sum()) - len(state))
+    sigma = float(np.sqrt(np.nansum(residuals**2) / free))
+    reply: dict[str, Any] = {"residuals": residuals, "sigma_px": sigma}
+    if columns:
+        if factorization is None:
+            raise ValueError("the normal equations are singular: some parameter is not determined")
+        scale = np.ones(len(state))
+        problem.mrcal.unpack_state(scale, **inputs)
+        gradient = np.zeros((len(columns), len(state)))
+        gradient[np.arange(len(columns)), columns] = scale[columns]
+        spread = jacobian[:count] @ factorization.solve_xt_JtJ_bt(gradient).T
+        reply["covariance"] = spread.T @ spread * sigma**2
+    return reply
+
+
+def state_columns(problem: Problem, lens: bool) -> list[int]:
+    """Return the places in mrcal's state of the intrinsics, if free, and of the second camera."""
+    mrcal, inputs = problem.mrcal, problem.inputs
+    columns: list[int] = []
+    cameras, count = inputs["intrinsics"].shape
+    if lens:
+        for camera in range(cameras):
+            first = mrcal.state_index_intrinsics(camera, **inputs)
+            columns += range(first, first + count)
+    if cameras > 1:
+        first = mrcal.state_index_extrinsics(0, **inputs)
+        columns += range(first, first + 6)
+    return columns
+
+
+def lens_grid(problem: Problem, shape: tuple[int, int]) -> dict[str, Any]:
+    """Return the rays of a grid of pixels of each camera, and how uncertain their pixels are.
+
+    The uncertainty is the standard deviation in the worst direction, px, of where a point on the
+    ray, as far away as the boards were, is projected.
+    """
+    mrcal, inputs = problem.mrcal, problem.inputs
+    distance = float(np.median(np.linalg.norm(inputs[problem.frames_key][:, 3:], axis=-1)))
+    pixels, rays, stds, texts = [], [], [], []
+    for camera, (width, height) in enumerate(inputs["imagersizes"]):
+        model = mrcal.cameramodel(optimization_inputs=inputs, icam_intrinsics=camera)
+        u, v = np.meshgrid(
+            np.linspace(0, width - 1, shape[1]), np.linspace(0, height - 1, shape[0])
+        )
+        grid = np.stack([u, v], axis=-1)
+        directions = mrcal.unproject(grid, *model.intrinsics(), normalize=True)
+        stds.append(
+            mrcal.projection_uncertainty(directions * distance, model, what="worstdirection-stdev")
+        )
+        pixels.append(grid)
+        rays.append(directions)
+        model.write(f"camera{camera}.cameramodel")
+        texts.append(Path(f"camera{camera}.cameramodel").read_text(encoding="utf-8"))
+    return {
+        "grid_pixels": np.stack(pixels),
+        "grid_rays": np.stack(rays),
+        "grid_std": np.stack(stds),
+        "models": np.array(texts),
+    }
+
+
+def solve(mrcal: Any, request: dict[str, Any], header: dict[str, Any]) -> dict[str, Any]:
+    """Return the arrays of the reply."""
+    lens_model: str = header["lens_model"]
+    hold: bool = header["hold_intrinsics"]
+    problem = Problem(mrcal, request, header)
+    missing = ~np.isfinite(request["observations"]).all(axis=-1)
+    problem.start(request, header["focal_px"])
+    if hold:
+        problem.inputs.update(calobject_warp=None, do_optimize_calobject_warp=False)
+        problem.optimize(lens_model, core=False, lens=False, reject=True)
+    else:
+        problem.solve_lens(lens_model)
+    if header["warp"]:
+        problem.free_board()
+        problem.optimize(lens_model, core=not hold, lens=not hold, reject=True)
+    inputs = problem.inputs
+    splined = "SPLINED" in lens_model
+    columns = [] if splined else state_columns(problem, not hold)
+    reply = linearise(problem, columns)
+    if not hold:
+        reply.update(lens_grid(problem, tuple(header["grid"])))
+    weights = inputs["observations_board"][..., 2]
+    warp = inputs["calobject_warp"]
+    reply.update(
+        intrinsics=inputs["intrinsics"],
+        cameras=inputs[problem.cameras_key],
+        frames=inputs[problem.frames_key],
+        rejected=(weights <= 0) & ~missing,
+        warp=np.zeros(0) if warp is None else warp,
+        version=np.array(str(getattr(mrcal, "__version__", "unknown"))),
+    )
+    return reply
+
+
+def main(folder: Path) -> int:
+    """Answer the request in `folder`; return the exit status."""
+    try:
+        import mrcal  # noqa: PLC0415 - its absence is an answer, not a failure
+    except Exception as error:  # a build for another numpy raises what it likes
+        sys.stderr.write(f"{type(error).__name__}: {error}\n")
+        return MISSING
+    with np.load(folder / "request.npz", allow_pickle=False) as file:
+        request = {name: file[name] for name in file.files}
+    header = json.loads(str(request.pop("header")))
+    np.random.seed(header["seed"])  # noqa: NPY002 - mrcal itself draws from this generator
+    np.savez(folder / "reply.npz", **solve(mrcal, request, header))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(Path(sys.argv[1])))

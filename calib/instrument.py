@@ -1,0 +1,242 @@
+"""Stage: the calibrated instrument, what it measures over its range, and on the validation rows."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.random import SeedSequence
+
+from calib.arrays import BoolArray, FloatArray, IntArray
+from calib.fit.posterior import Posterior
+from calib.fit.robust import RobustFit
+from calib.geometry.plane import OBSERVABLE, depth, gaze_at
+from calib.observations import Observations
+from calib.observe import RowSettings, ValidationRows
+from calib.uncertainty.measurement import (
+    Instrument,
+    ParameterKnowledge,
+    ReadingSpread,
+    SharedErrors,
+    Spread,
+)
+from calib.uncertainty.montecarlo import NORMAL_FACTOR
+from calib.uncertainty.predictive import DepthPrediction, predict_depths
+
+GRID_POINTS = 21
+"""Depths of the uncertainty table."""
+
+_EVALUATION = {"data": "A", "prior": "B", "both": "A, B"}
+
+
+@dataclass(frozen=True)
+class CalibratedInstrument:
+    """The instrument as the selected model describes it.
+
+    Parameters
+    ----------
+    model
+        Name of the model.
+    instrument
+        Parameters with their joint distribution, and the errors of a reading.
+    noise_factor
+        By how much the stated uncertainties of a reading were widened: the root mean square of
+        the noise scale where it is above 1. The rows may prove the stated uncertainties too
+        small; that they are too large is not believed of a reading, since the reference depths
+        may be what is better than stated.
+    calibrated_mm
+        Least and greatest reference depth of the rows, shape (2,).
+    """
+
+    model: str
+    instrument: Instrument
+    noise_factor: float
+    calibrated_mm: FloatArray
+
+
+def build_instrument(
+    posterior: Posterior, fit: RobustFit, rows: Observations, settings: RowSettings
+) -> CalibratedInstrument:
+    """Return the instrument of the selected model."""
+    factor = float(np.sqrt(np.mean(np.maximum(np.exp(2 * posterior.flat[:, -1]), 1.0))))
+    parameters = ParameterKnowledge(
+        names=fit.names,
+        values=posterior.mean[:-1],
+        covariance=posterior.covariance[:-1, :-1],
+        degrees_of_freedom=None,
+        evaluation=tuple(_EVALUATION[who] for who in fit.identified_by),
+        draws=posterior.flat[:, :-1],
+    )
+    direction = float(np.median(rows.std[:, OBSERVABLE.x1c]))
+    across = float(np.median(rows.std[:, OBSERVABLE.y1c]))
+    residual = float(np.median(rows.std[:, OBSERVABLE.residual]))
+    # Where the gaze residual is measured, the motor's step is no error: see calib.observe.
+    step = 0.0 if residual > 0 else settings.encoder_step_rad
+    reading = ReadingSpread(
+        x1c=Spread(normal=factor * direction),
+        y1c=Spread(normal=factor * across),
+        alpha2_rad=Spread(normal=factor * settings.u_alpha2_rad, width=factor * step),
+        gaze_residual_rad=Spread(normal=factor * residual),
+    )
+    shared = None
+    if rows.shared_names:
+        shared = SharedErrors(names=rows.shared_names, with_parameters=fit.by_shared)
+    return CalibratedInstrument(
+        model=posterior.model,
+        instrument=Instrument(parameters, reading, shared),
+        noise_factor=factor,
+        calibrated_mm=np.array([rows.z_mm.min(), rows.z_mm.max()]),
+    )
+
+
+@dataclass(frozen=True)
+class DepthTable:
+    """Depth uncertainty over the range, for a target on C1's optical axis.
+
+    Parameters
+    ----------
+    depth_mm
+        Shape (n,).
+    prediction
+        What the instrument says of a target there.
+    extrapolated
+        Whether the depth lies outside those of the calibration rows, shape (n,).
+    factor95
+        Half width of the 95 % interval of 1 / z over its linear standard uncertainty: the largest
+        of the calibrated depths, at least 1.96. Inverse depth is nearly normal where depth itself
+        is skewed: `calib measure` makes its intervals with it.
+    """
+
+    depth_mm: FloatArray
+    prediction: DepthPrediction
+    extrapolated: BoolArray
+    factor95: float
+
+
+def tabulate_depths(
+    calibrated: CalibratedInstrument,
+    *,
+    low_mm: float,
+    high_mm: float,
+    seed: SeedSequence,
+) -> DepthTable:
+    """Return the depth uncertainty from `low_mm` to `high_mm`."""
+    z = np.linspace(low_mm, high_mm, GRID_POINTS)
+    points = np.stack([np.zeros_like(z), np.zeros_like(z), z], axis=1)
+    gaze = gaze_at(calibrated.instrument.theta, points)
+    prediction = predict_depths(calibrated.instrument, gaze, np.random.default_rng(seed))
+    low, high = calibrated.calibrated_mm
+    outside = (z < low) | (z > high)
+    return DepthTable(z, prediction, outside, _factor95(prediction, ~outside))
+
+
+def _factor95(p: DepthPrediction, inside: BoolArray) -> float:
+    """Return the coverage factor of inverse depth where it is largest among the depths inside."""
+    half = (1 / p.low95_mm - 1 / p.high95_mm) / 2
+    factor = half * p.z_mm**2 / p.gum_u_mm
+    return float(max(NORMAL_FACTOR, factor[inside].max(initial=0.0)))
+
+
+@dataclass(frozen=True)
+class ReferenceAgreement:
+    """Agreement of measured depths with one reference.
+
+    Parameters
+    ----------
+    name
+        "reference" for the first, else the name in the table.
+    reference_mm, std_mm
+        Its depths, shape (n,), NaN where a row has none, and their standard uncertainties, 0
+        where none is stated.
+    error_rel
+        (measured - reference) / reference, shape (n,); NaN where a row has no such reference.
+    rms_rel, mean_rel
+        Over the rows that have it.
+    """
+
+    name: str
+    reference_mm: FloatArray
+    std_mm: FloatArray
+    error_rel: FloatArray
+    rms_rel: float
+    mean_rel: float
+
+
+@dataclass(frozen=True)
+class ValidationResult:
+    """What the instrument, and each other model, measures on the validation rows.
+
+    Parameters
+    ----------
+    ids, groups
+        Of the rows, n of them.
+    depth_of
+        For each row the place of the row whose depth it uses, shape (n,).
+    reference_mm
+        First reference depth, shape (n,).
+    prediction
+        Depth of each row, by the row whose depth it uses.
+    position_mm
+        x, y, z, shape (n, 3).
+    own_depth_mm
+        Depth by each row's own angle, by model, shape (n,) each.
+    errors
+        Against each reference.
+    """
+
+    ids: tuple[str, ...]
+    groups: tuple[str, ...]
+    depth_of: IntArray
+    reference_mm: FloatArray
+    prediction: DepthPrediction
+    position_mm: FloatArray
+    own_depth_mm: Mapping[str, FloatArray]
+    errors: tuple[ReferenceAgreement, ...]
+
+
+def measure_validation(
+    calibrated: CalibratedInstrument,
+    validation: ValidationRows,
+    fits: Mapping[str, RobustFit],
+    *,
+    seed: SeedSequence,
+) -> ValidationResult:
+    """Return what the instrument measures on the validation rows."""
+    rows, source = validation.rows, validation.depth_of
+    loadings = rows.shared[source, : OBSERVABLE.z] if rows.shared_names else None
+    used = rows.take(source)
+    prediction = predict_depths(
+        calibrated.instrument, used.gaze, np.random.default_rng(seed), loadings=loadings
+    )
+    z = prediction.z_mm
+    first = _agreement_with("reference", z, rows.z_mm, rows.std[:, OBSERVABLE.z])
+    others = [
+        _agreement_with(name, z, depths, np.zeros(len(rows)))
+        for name, depths in validation.references.items()
+    ]
+    return ValidationResult(
+        ids=rows.ids,
+        groups=rows.groups,
+        depth_of=source,
+        reference_mm=rows.z_mm,
+        prediction=prediction,
+        position_mm=np.stack([rows.x1c * z, rows.y1c * z, z], axis=1),
+        own_depth_mm={name: depth(fit.theta, rows.gaze) for name, fit in fits.items()},
+        errors=(first, *others),
+    )
+
+
+def _agreement_with(
+    name: str, z: FloatArray, reference: FloatArray, std: FloatArray
+) -> ReferenceAgreement:
+    error = z / reference - 1
+    known = error[np.isfinite(error)]
+    return ReferenceAgreement(
+        name=name,
+        reference_mm=reference,
+        std_mm=std,
+        error_rel=error,
+        rms_rel=float(np.sqrt(np.mean(known**2))) if len(known) else 0.0,
+        mean_rel=float(np.mean(known)) if len(known) else 0.0,
+    )

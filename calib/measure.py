@@ -1,0 +1,396 @@
+"""Measuring with a finished calibration: positions and lengths from readings."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from calib.arrays import FloatArray
+from calib.dataset.folder import decode
+from calib.dataset.readers import read_lengths
+from calib.dataset.tables import GazeTable, LengthTable
+from calib.errors import InputError, Problem
+from calib.geometry.camera import Camera
+from calib.geometry.parameters import NAMES
+from calib.geometry.plane import OBSERVABLE
+from calib.observe import CameraSet, RowSettings, Shared, observe
+from calib.results import FORMAT
+from calib.uncertainty.measurement import Instrument, ParameterKnowledge, ReadingSpread, Spread
+from calib.uncertainty.predictive import linear_positions
+
+FILE_LIMIT_BYTES = 200_000_000
+"""A calibration of 100,000 rows takes a tenth of it."""
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
+
+
+class _Spread(_Section):
+    normal: float
+    width: float
+
+    def spread(self) -> Spread:
+        return Spread(normal=self.normal, width=self.width)
+
+
+class _Reading(_Section):
+    x1c: _Spread
+    y1c: _Spread
+    alpha2_rad: _Spread
+    gaze_residual_rad: _Spread
+
+
+class _Measurement(_Section):
+    model: str
+    names: tuple[str, ...]
+    values: tuple[float, ...]
+    covariance: tuple[tuple[float, ...], ...]
+    reading: _Reading
+    calibrated_depth_mm: tuple[float, float]
+    factor95: float
+
+
+class _Camera(_Section):
+    matrix: tuple[tuple[float, float, float], ...]
+    distortion: tuple[float, ...]
+    image_size: tuple[int, int]
+
+    def camera(self) -> Camera:
+        return Camera(np.array(self.matrix), np.array(self.distortion), self.image_size)
+
+
+class _File(_Section):
+    format: Literal[1]
+    measurement: _Measurement
+    intrinsics: dict[str, _Camera] = {}
+
+
+@dataclass(frozen=True)
+class Measuring:
+    """An instrument as calibration.json describes it.
+
+    Parameters
+    ----------
+    instrument
+        Parameters, their covariance and the errors of a reading.
+    cameras
+        For readings in pixels.
+    calibrated_mm
+        Depths that the calibration covers.
+    factor95
+        Coverage factor of inverse depth.
+    """
+
+    instrument: Instrument
+    cameras: CameraSet
+    calibrated_mm: tuple[float, float]
+    factor95: float
+
+
+def read_calibration(path: Path) -> Measuring:
+    """Return the instrument of a calibration.json.
+
+    Raises
+    ------
+    InputError
+        If the file is none, is damaged, has another format or holds no gaze calibration.
+    """
+    document = _json(path)
+    if not isinstance(document, dict) or document.get("format") != FORMAT:
+        found = document.get("format") if isinstance(document, dict) else None
+        raise _bad(path, f"format {found!r} is not known", f"format {FORMAT} is; calibrate again")
+    if "measurement" not in document:
+        remedy = "calibrate a dataset with gaze rows; see the gates in its report"
+        raise _bad(path, "holds no gaze calibration", remedy)
+    try:
+        file = _File.model_validate(document)
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in first["loc"])
+        raise _bad(
+            path, f"{where}: {first['msg']}", "the file is damaged; calibrate again"
+        ) from None
+    m = file.measurement
+    size = len(m.names)
+    shapes = {len(m.values), len(m.covariance), *(len(row) for row in m.covariance)}
+    if shapes != {size} or not set(m.names) <= set(NAMES):
+        remedy = "the file is damaged; calibrate again"
+        raise _bad(path, "measurement: names, values and covariance do not belong together", remedy)
+    covariance = np.array(m.covariance)
+    if np.linalg.eigvalsh((covariance + covariance.T) / 2)[0] < -1e-9 * np.trace(covariance):
+        remedy = "the file is damaged; calibrate again"
+        raise _bad(path, "measurement: the covariance has a negative variance", remedy)
+    parameters = ParameterKnowledge(
+        names=m.names,
+        values=np.array(m.values),
+        covariance=covariance,
+        degrees_of_freedom=None,
+        evaluation=("A",) * size,
+    )
+    reading = ReadingSpread(
+        x1c=m.reading.x1c.spread(),
+        y1c=m.reading.y1c.spread(),
+        alpha2_rad=m.reading.alpha2_rad.spread(),
+        gaze_residual_rad=m.reading.gaze_residual_rad.spread(),
+    )
+    cameras = {name: camera.camera() for name, camera in file.intrinsics.items()}
+    return Measuring(
+        instrument=Instrument(parameters, reading),
+        cameras=CameraSet(cameras.get("c1"), cameras.get("c2")),
+        calibrated_mm=m.calibrated_depth_mm,
+        factor95=m.factor95,
+    )
+
+
+def _bad(path: Path, what: str, remedy: str) -> InputError:
+    return InputError.single(where=str(path), what=what, remedy=remedy)
+
+
+def _json(path: Path) -> Any:
+    remedy = "give the calibration.json of a finished run"
+    try:
+        if path.stat().st_size > FILE_LIMIT_BYTES:
+            raise _bad(path, "is too large to be a calibration", remedy)
+        return json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise _bad(path, f"cannot be read ({error.strerror})", remedy) from None
+    except (ValueError, RecursionError) as error:
+        raise _bad(path, f"is no JSON ({error})", remedy) from None
+
+
+def table_text(source: bytes | Path, *, name: str) -> str:
+    """Return the text of a table, from its bytes or its file.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read, is too large or is not UTF-8.
+    """
+    remedy = "give a CSV table with a row for each reading, see datasets/README.md"
+    if isinstance(source, Path):
+        try:
+            with source.open("rb") as file:
+                source = file.read(FILE_LIMIT_BYTES + 1)
+        except OSError as error:
+            raise _bad(Path(name), f"cannot be read ({error.strerror})", remedy) from None
+    if len(source) > FILE_LIMIT_BYTES:
+        raise _bad(Path(name), f"is larger than {FILE_LIMIT_BYTES // 1_000_000} MB", "split it")
+    return decode(source, where=name)
+
+
+def read_pairs(path: Path, measured: Measured) -> LengthTable:
+    """Return the table of distances asked for.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read or names a point that was not measured.
+    """
+    lengths = read_lengths(table_text(path, name=str(path)), name=str(path), known=False)
+    problems = [
+        Problem(
+            where=f"{path}, line {lengths.line[i]} (id {lengths.ids[i]})",
+            what=f"point {point!r} is not in the table of readings",
+            remedy="name ids of that table",
+        )
+        for i in range(len(lengths))
+        for point in (lengths.start[i], lengths.end[i])
+        if point not in measured.ids
+    ]
+    if problems:
+        raise InputError(problems)
+    return lengths
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Positions with their uncertainties.
+
+    Parameters
+    ----------
+    ids
+        Of the rows, n of them.
+    position_mm, std_mm
+        x, y, z in frame C1 and their standard uncertainties, shape (n, 3).
+    low95_mm, high95_mm
+        Of z, shape (n,); infinite where the reading does not limit the distance.
+    by_common, common
+        Derivatives by parameters and shared errors, shape (n, 3, k), and their covariance (k, k).
+    by_depth_row, by_row
+        Effect, mm, of one standard deviation of each reading error of the row whose depth is used,
+        and of the row itself where that is another one, shape (n, 3, 4) each.
+    depth_of
+        For each row the place of the row whose depth it uses.
+    """
+
+    ids: tuple[str, ...]
+    position_mm: FloatArray
+    std_mm: FloatArray
+    low95_mm: FloatArray
+    high95_mm: FloatArray
+    by_common: FloatArray
+    common: FloatArray
+    by_depth_row: FloatArray
+    by_row: FloatArray
+    depth_of: tuple[int, ...]
+
+
+def measure(measuring: Measuring, table: GazeTable) -> Measured:
+    """Return the positions of the points in a table of readings.
+
+    Raises
+    ------
+    InputError
+        If rows need a camera that the calibration does not hold, or C1's ray and C2's plane do
+        not meet in front of C1.
+    """
+    _refuse_unseen(measuring, table)
+    spread = measuring.instrument.reading
+    settings = RowSettings(spread.x1c.normal, 0.0, 0.0, spread.alpha2_rad.width, 0.0)
+    rows = observe(table, settings, measuring.cameras, Shared(), None)
+    linear = linear_positions(measuring.instrument, rows.gaze)
+    _refuse_unreachable(table, linear.position_mm[:, 2])
+    place = {name: i for i, name in enumerate(table.ids)}
+    depth_of = tuple(i if d is None else place[d] for i, d in enumerate(table.depth_row))
+    source = np.array(depth_of)
+    borrows = np.arange(len(table)) != source
+    ray = np.stack([rows.x1c, rows.y1c, np.ones(len(table))], axis=1)
+    z = linear.position_mm[source, 2]
+    by_common, by_depth_row = linear.by_common.copy(), linear.own.copy()
+    by_row = np.zeros_like(by_depth_row)
+    # x = x1c z and y = y1c z: with another row's depth the errors come from two rows.
+    by_common[borrows] = ray[borrows, :, None] * linear.by_common[source[borrows], 2][:, None]
+    by_depth_row[borrows] = ray[borrows, :, None] * linear.own[source[borrows], 2][:, None]
+    by_row[borrows, 0, OBSERVABLE.x1c] = z[borrows] * spread.x1c.normal
+    by_row[borrows, 1, OBSERVABLE.y1c] = z[borrows] * spread.y1c.normal
+    common = np.einsum("nik,kl,nil->ni", by_common, linear.common, by_common)
+    std = np.sqrt(common + (by_depth_row**2).sum(axis=2) + (by_row**2).sum(axis=2))
+    inverse, half = 1 / z, measuring.factor95 * std[:, 2] / z**2
+    with np.errstate(divide="ignore"):
+        high = np.where(half < inverse, 1 / (inverse - half), np.inf)
+    return Measured(
+        ids=table.ids,
+        position_mm=ray * z[:, None],
+        std_mm=std,
+        low95_mm=1 / (inverse + half),
+        high95_mm=high,
+        by_common=by_common,
+        common=linear.common,
+        by_depth_row=by_depth_row,
+        by_row=by_row,
+        depth_of=depth_of,
+    )
+
+
+def _refuse_unseen(measuring: Measuring, table: GazeTable) -> None:
+    wants = {"c1": np.isfinite(table.u1_px), "c2": np.isfinite(table.u2_px)}
+    for name, rows in wants.items():
+        if rows.any() and getattr(measuring.cameras, name) is None:
+            i = int(np.flatnonzero(rows)[0])
+            raise InputError.single(
+                where=f"{table.file}, line {table.line[i]} (id {table.ids[i]})",
+                what=f"is in pixels of {name}, whose intrinsics the calibration does not hold",
+                remedy=f"calibrate with [cameras.{name}], or give normalised coordinates",
+            )
+    images = [i for i, name in enumerate(table.image_c1) if name is not None]
+    if images:
+        raise InputError.single(
+            where=f"{table.file}, line {table.line[images[0]]} (id {table.ids[images[0]]})",
+            what="names an image; measure takes coordinates",
+            remedy="give u1_px and v1_px, or x1c and y1c",
+        )
+
+
+def _refuse_unreachable(table: GazeTable, z: FloatArray) -> None:
+    problems = [
+        Problem(
+            where=f"{table.file}, line {table.line[i]} (id {table.ids[i]})",
+            what="C1's ray and C2's gaze plane do not meet in front of C1",
+            remedy="check x1c and alpha2_deg: units, sign, the row's order",
+        )
+        for i in np.flatnonzero(~(np.isfinite(z) & (z > 0)))
+    ]
+    if problems:
+        raise InputError(problems)
+
+
+def positions_csv(measuring: Measuring, measured: Measured) -> str:
+    """Return the positions as CSV, one row per reading."""
+    low, high = measuring.calibrated_mm
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    axes = ("x_mm", "y_mm", "z_mm")
+    writer.writerow(
+        ["id", *axes, *(f"u_{a}" for a in axes), "z_low95_mm", "z_high95_mm", "extrapolated"]
+    )
+    for i, name in enumerate(measured.ids):
+        z = measured.position_mm[i, 2]
+        numbers = [*measured.position_mm[i], *measured.std_mm[i]]
+        numbers += [measured.low95_mm[i], measured.high95_mm[i]]
+        outside = "no" if low <= z <= high else "yes"
+        writer.writerow([name, *(_number(v) for v in numbers), outside])
+    return text.getvalue()
+
+
+def _number(value: float) -> str:
+    """Return a length in mm to 0.1 um; more digits mean nothing at this accuracy."""
+    return f"{value:.4f}" if math.isfinite(value) else "inf"
+
+
+def lengths_csv(measured: Measured, lengths: LengthTable) -> str:
+    """Return distances between measured points as CSV, with their standard uncertainties.
+
+    The points share the calibration's errors, which largely cancel for points near each other.
+    """
+    place = {name: i for i, name in enumerate(measured.ids)}
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(
+        [
+            "id",
+            "from",
+            "to",
+            "length_mm",
+            "u_length_mm",
+            "reference_mm",
+            "u_reference_mm",
+            "error_mm",
+        ]
+    )
+    for i, name in enumerate(lengths.ids):
+        start, end = place[lengths.start[i]], place[lengths.end[i]]
+        length, u = _length(measured, start, end)
+        reference, u_reference = lengths.length_mm[i], lengths.u_length_mm[i]
+        known = [reference, u_reference, length - reference]
+        shown = [_number(v) if math.isfinite(v) else "" for v in known]
+        writer.writerow(
+            [name, lengths.start[i], lengths.end[i], _number(length), _number(u), *shown]
+        )
+    return text.getvalue()
+
+
+def _length(measured: Measured, start: int, end: int) -> tuple[float, float]:
+    """Return the distance of two points and its standard uncertainty, mm."""
+    across = measured.position_mm[end] - measured.position_mm[start]
+    length = float(np.linalg.norm(across))
+    if length == 0:
+        return 0.0, 0.0
+    along = across / length
+    common = along @ (measured.by_common[end] - measured.by_common[start])
+    variance = float(common @ measured.common @ common)
+    own: dict[int, FloatArray] = {}
+    for point, sign in ((end, 1.0), (start, -1.0)):
+        parts = ((point, measured.by_row), (measured.depth_of[point], measured.by_depth_row))
+        for row, effect in parts:
+            own[row] = own.get(row, np.zeros(effect.shape[2])) + sign * (along @ effect[point])
+    variance += sum(float(effect @ effect) for effect in own.values())
+    return length, float(np.sqrt(variance))

@@ -1,0 +1,168 @@
+"""The parts a report is made of: plain data, laid out by the template.
+
+Texts are escaped when they are printed, unless they are `Markup`, which only this project's own
+words become: `Markup.format` escapes what it is given.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Literal, TypeAlias
+
+from markupsafe import Markup
+
+Text: TypeAlias = str | Markup
+
+
+@dataclass(frozen=True)
+class Cell:
+    """An entry of a table.
+
+    Parameters
+    ----------
+    text
+        As printed.
+    key
+        What it sorts by, with all digits; None to sort by the text.
+    numeric
+        Whether it is aligned as a number.
+    mark
+        "good", "bad" or "quiet"; empty for none.
+    """
+
+    text: Text
+    key: float | None = None
+    numeric: bool = False
+    mark: str = ""
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table: `head` names the columns, with units."""
+
+    caption: Text
+    head: tuple[Text, ...]
+    rows: tuple[tuple[Cell, ...], ...]
+    note: Text = ""
+    kind: Literal["table"] = field(default="table", init=False)
+
+
+@dataclass(frozen=True)
+class Paragraph:
+    """A paragraph."""
+
+    text: Text
+    kind: Literal["paragraph"] = field(default="paragraph", init=False)
+
+
+@dataclass(frozen=True)
+class Items:
+    """A list."""
+
+    items: tuple[Text, ...]
+    kind: Literal["items"] = field(default="items", init=False)
+
+
+@dataclass(frozen=True)
+class Facts:
+    """Pairs of a label and a value."""
+
+    facts: tuple[tuple[Text, Text], ...]
+    kind: Literal["facts"] = field(default="facts", init=False)
+
+
+@dataclass(frozen=True)
+class Tiles:
+    """The few figures to see first: label, value, remark."""
+
+    tiles: tuple[tuple[Text, Text, Text], ...]
+    kind: Literal["tiles"] = field(default="tiles", init=False)
+
+
+@dataclass(frozen=True)
+class Notice:
+    """A verdict or a warning that must not be overlooked."""
+
+    mark: Literal["good", "bad", "note"]
+    title: Text
+    text: Text = ""
+    kind: Literal["notice"] = field(default="notice", init=False)
+
+
+@dataclass(frozen=True)
+class Command:
+    """A command to type."""
+
+    text: str
+    kind: Literal["command"] = field(default="command", init=False)
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A figure on the page.
+
+    Parameters
+    ----------
+    key
+        Its anchor and the name of its data file; unique.
+    image, width_px
+        Data URI, and the width it is drawn for.
+    alternative
+        What it shows, for those who cannot see it.
+    caption
+        What is drawn, and what a fault would look like.
+    data
+        Data URI of a CSV file; empty where there is none.
+    """
+
+    key: str
+    image: str
+    width_px: int
+    alternative: str
+    caption: Text
+    data: str
+    kind: Literal["picture"] = field(default="picture", init=False)
+
+
+Block: TypeAlias = (
+    Table | Paragraph | Items | Facts | Tiles | Notice | Command | Picture
+)
+
+
+@dataclass(frozen=True)
+class Section:
+    """A chapter of the report; `key` is its anchor."""
+
+    key: str
+    title: str
+    blocks: tuple[Block, ...]
+
+
+def number(text: str, value: float, *, mark: str = "") -> Cell:
+    """Return a cell that prints `text` and sorts by `value`."""
+    return Cell(text, key=float(value), numeric=True, mark=mark)
+
+
+def words(text: Text, *, mark: str = "") -> Cell:
+    """Return a cell of text."""
+    return Cell(text, mark=mark)
+
+
+EMPTY = Cell("–", numeric=True, mark="quiet")
+"""A cell without a value."""
+
+
+def table(
+    caption: Text, head: Sequence[Text], rows: Sequence[Sequence[Cell]], *, note: Text = ""
+) -> Table:
+    """Return a table.
+
+    Raises
+    ------
+    ValueError
+        If a row has not one cell a column.
+    """
+    if any(len(row) != len(head) for row in rows):
+        raise ValueError(f"table {caption!r}: a row does not fit its {len(head)} columns")
+    return Table(caption, tuple(head), tuple(map(tuple, rows)), note)

@@ -1,0 +1,132 @@
+"""What the report prints beside the results: where the data come from, what was assumed, by whom."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.dataset.contents import Dataset
+from calib.dataset.manifest import DEFAULT_U_X1C, Manifest
+from calib.fit.priors import Priors
+from calib.provenance import Provenance
+from calib.uncertainty.format import significant
+
+
+@dataclass(frozen=True)
+class Statement:
+    """Something that the calibration takes as given.
+
+    Parameters
+    ----------
+    what
+        The quantity.
+    value
+        With its unit.
+    source
+        Who says so.
+    """
+
+    what: str
+    value: str
+    source: str
+
+
+@dataclass(frozen=True)
+class ReportContext:
+    """All that the report prints and that is no result.
+
+    Parameters
+    ----------
+    source
+        Label and text: citation, DOI, address, licence, notes.
+    reference, validation_reference
+        What the reference depths are; None without such rows.
+    statements
+        Stated uncertainties and what else was taken as given.
+    encoder_step_rad
+        One count or microstep; None where no encoder is described.
+    priors
+        Prior and measured knowledge of the parameters.
+    made
+        Versions, commit, command, times.
+    """
+
+    source: tuple[tuple[str, str], ...]
+    reference: str | None
+    validation_reference: str | None
+    statements: tuple[Statement, ...]
+    encoder_step_rad: float | None
+    priors: Priors
+    made: Provenance
+
+
+def report_context(dataset: Dataset, priors: Priors, made: Provenance) -> ReportContext:
+    """Return what the report prints of a dataset and of the run."""
+    m = dataset.manifest
+    return ReportContext(
+        source=_source(m),
+        reference=m.gaze.reference if m.gaze is not None else None,
+        validation_reference=m.validation.reference if m.validation is not None else None,
+        statements=tuple(_statements(dataset)),
+        encoder_step_rad=None if m.encoder is None else _rad(m.encoder.resolution_deg),
+        priors=priors,
+        made=made,
+    )
+
+
+def _rad(degrees: float) -> float:
+    return float(np.deg2rad(degrees))
+
+
+def _source(m: Manifest) -> tuple[tuple[str, str], ...]:
+    s = m.source
+    named: Mapping[str, str | None] = {
+        "Citation": s.citation,
+        "DOI": s.doi,
+        "Address": s.url,
+        "Licence": s.license,
+        "Notes": s.notes,
+    }
+    return tuple((label, text) for label, text in named.items() if text)
+
+
+IN_MANIFEST = "dataset.toml"
+BY_DEFAULT = "default, as dataset.toml says nothing"
+IN_ROWS = "row by row, in the table"
+
+
+def _statements(dataset: Dataset) -> list[Statement]:
+    m, found = dataset.manifest, []
+    if m.encoder is not None:
+        e = m.encoder
+        found.append(
+            Statement("one count or step of the yaw encoder", f"{e.resolution_deg:g}°", IN_MANIFEST)
+        )
+        if e.u_alpha2_deg:
+            found.append(
+                Statement("further u(α2) of a reading", f"{e.u_alpha2_deg:g}°", IN_MANIFEST)
+            )
+    if m.gaze is not None and dataset.gaze is not None:
+        if np.isfinite(dataset.gaze.x1c).any():
+            stated = m.gaze.u_x1c != DEFAULT_U_X1C
+            found.append(
+                Statement("u(x1c) of a row", f"{m.gaze.u_x1c:g}", IN_MANIFEST if stated else BY_DEFAULT)
+            )
+        own = bool(np.isfinite(dataset.gaze.u_z_mm).any())
+        found.append(_depth("calibration", m.gaze.u_z_mm, m.gaze.u_z_rel, own=own))
+    if m.validation is not None and dataset.validation is not None:
+        own = bool(np.isfinite(dataset.validation.u_z_mm).any())
+        found.append(_depth("validation", m.validation.u_z_mm, m.validation.u_z_rel, own=own))
+    return found
+
+
+def _depth(kind: str, u_mm: float, u_rel: float, *, own: bool) -> Statement:
+    """Return the statement on the uncertainty of reference depths."""
+    parts = [f"{u_mm:g} mm"] if u_mm else []
+    parts += [f"{significant(100 * u_rel, digits=2)} % of z"] if u_rel else []
+    what = f"u(z) of a {kind} row's reference"
+    if own:
+        return Statement(what, "each its own", IN_ROWS)
+    return Statement(what, " and ".join(parts) or "none stated: taken as exact", IN_MANIFEST)

@@ -1,0 +1,1 @@
+"""Figures of the report: results in, a matplotlib figure with its data out."""

@@ -1,0 +1,126 @@
+"""Numbers as the report prints them: rounded by `calib.uncertainty.format`, with a real minus."""
+
+from __future__ import annotations
+
+import math
+
+from markupsafe import Markup
+
+from calib.geometry.parameters import INDEX, PARAMETERS
+from calib.report.blocks import EMPTY, Cell, number
+from calib.uncertainty.format import SHOWN, fixed, interval, significant, with_uncertainty
+
+MINUS = "−"
+
+LOG_NOISE = "log_noise_scale"
+
+EFFECTIVE = "effective_baseline_mm"
+
+
+def signed(text: str) -> str:
+    """Return the text of a number with a minus sign in place of the hyphen."""
+    return text.replace("-", MINUS)
+
+
+def decimals(value: float | None, count: int, *, mark: str = "") -> Cell:
+    """Return a cell with a fixed number of decimals."""
+    if value is None or math.isnan(value):
+        return EMPTY
+    if math.isinf(value):
+        return number(signed(significant(value)), value, mark=mark)
+    return number(signed(fixed(value, count)), value, mark=mark)
+
+
+def digits(value: float | None, count: int = 3, *, mark: str = "") -> Cell:
+    """Return a cell with a number of significant digits."""
+    if value is None or math.isnan(value):
+        return EMPTY
+    return number(signed(significant(value, digits=count)), value, mark=mark)
+
+
+def percent(value: float | None, count: int = 2) -> Cell:
+    """Return a cell with a ratio in per cent."""
+    return EMPTY if value is None or math.isnan(value) else decimals(100 * value, count)
+
+
+def plus_minus(value: float, u: float, *, factor: float = 1.0) -> str:
+    """Return a value with its standard uncertainty, both rounded alike."""
+    value, u = factor * value, factor * u
+    if not (math.isfinite(u) and u > 0):
+        return signed(significant(value, digits=4))
+    rounded = with_uncertainty(value, u)
+    return f"{signed(rounded.value)} ± {rounded.uncertainty}"
+
+
+def estimate(value: float, u: float, *, factor: float = 1.0) -> Cell:
+    """Return a cell with value and standard uncertainty."""
+    return number(plus_minus(value, u, factor=factor), factor * value)
+
+
+def bounds(low: float, high: float, u: float, *, factor: float = 1.0) -> Cell:
+    """Return a cell with an interval, rounded outwards to the place of `u`."""
+    low, high, u = factor * low, factor * high, factor * u
+    if not (math.isfinite(u) and u > 0):
+        text = f"{signed(significant(low))} to {signed(significant(high))}"
+    elif math.isinf(high):
+        text = f"{signed(interval(low, low, uncertainty=u)[0])} to ∞"
+    else:
+        ends = interval(low, high, uncertainty=u)
+        text = f"{signed(ends[0])} to {signed(ends[1])}"
+    return number(text, low)
+
+
+def unit(name: str) -> str:
+    """Return the printed unit of a parameter; empty for pure numbers."""
+    printed = SHOWN[_internal_unit(name)].unit
+    return "" if printed == "1" else printed
+
+
+def factor(name: str) -> float:
+    """Return the factor from a parameter's internal unit to the printed one."""
+    return SHOWN[_internal_unit(name)].factor
+
+
+def _internal_unit(name: str) -> str:
+    if name == EFFECTIVE:
+        return "mm"
+    return "1" if name == LOG_NOISE else PARAMETERS[INDEX[name]].unit
+
+
+def symbol(name: str) -> Markup:
+    """Return the symbol of a parameter as HTML."""
+    if name == EFFECTIVE:
+        return Markup("{} + {}").format(symbol("baseline_mm"), symbol("eccentricity_mm"))
+    if name == LOG_NOISE:
+        return Markup("ln <i>s</i>")
+    stem, index = _split(PARAMETERS[INDEX[name]].symbol)
+    return Markup("<i>{}</i><sub>{}</sub>").format(stem, index) if index else Markup(
+        "<i>{}</i>"
+    ).format(stem)
+
+
+def plain_symbol(name: str) -> str:
+    """Return the symbol of a parameter for figures, in matplotlib's mathematics."""
+    if name == EFFECTIVE:
+        return f"{plain_symbol('baseline_mm')} + {plain_symbol('eccentricity_mm')}"
+    if name == LOG_NOISE:
+        return r"$\ln\,s$"
+    stem, index = _split(PARAMETERS[INDEX[name]].symbol)
+    return f"${stem}_{{{index}}}$" if index else f"${stem}$"
+
+
+def _split(text: str) -> tuple[str, str]:
+    """Return stem and index of a symbol: L_b, δ2, e."""
+    stem, _, index = text.partition("_")
+    if not index and len(stem) > 1 and stem[-1].isdigit():
+        return stem[:-1], stem[-1]
+    return stem, index
+
+
+def meaning(name: str) -> str:
+    """Return what a parameter is, in a phrase."""
+    if name == EFFECTIVE:
+        return "baseline seen at 90°"
+    if name == LOG_NOISE:
+        return "logarithm of the noise scale"
+    return PARAMETERS[INDEX[name]].meaning

@@ -1,0 +1,381 @@
+"""The result of a calibration, and its form for programs: calibration.json."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from calib import __version__
+from calib.arrays import FloatArray
+from calib.fit.compare import Comparison, ModelScore
+from calib.fit.convex import ConvexFit
+from calib.fit.linear import LinearFit
+from calib.fit.posterior import Posterior
+from calib.fit.robust import RobustFit
+from calib.gates import Gate
+from calib.geometry.camera import Camera
+from calib.instrument import CalibratedInstrument, DepthTable, ValidationResult
+from calib.observations import Observations
+from calib.uncertainty.measurement import Instrument, Spread
+from calib.uncertainty.montecarlo import NORMAL_FACTOR
+
+FORMAT = 1
+
+DIGITS = 12
+"""Significant digits of the numbers in calibration.json: beyond them lies only rounding."""
+
+
+@dataclass(frozen=True)
+class GazeResult:
+    """What came of the gaze rows.
+
+    Parameters
+    ----------
+    rows
+        As the fits saw them.
+    sense
+        Whether encoder and baseline have the signs of the frame.
+    linear, convex
+        None where the rows do not allow them; `refused` says why.
+    robust, posterior
+        By model.
+    refused
+        Reason by fit, for those that could not be made.
+    comparison, calibrated, depths
+        None if no model could be fitted.
+    validation
+        None without validation rows.
+    """
+
+    rows: Observations
+    sense: Gate
+    linear: LinearFit | None
+    convex: ConvexFit | None
+    robust: Mapping[str, RobustFit]
+    posterior: Mapping[str, Posterior]
+    refused: Mapping[str, str]
+    comparison: Comparison | None = None
+    calibrated: CalibratedInstrument | None = None
+    depths: DepthTable | None = None
+    validation: ValidationResult | None = None
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """Everything that one run found out.
+
+    Parameters
+    ----------
+    name, title, sha256
+        Of the dataset.
+    seed
+        Of all random numbers.
+    cameras
+        Given or calibrated, by "c1" and "c2".
+    gaze
+        None without gaze rows.
+    gates
+        What must hold before the result may be used.
+    warnings
+        What the reader should know and no gate covers.
+    """
+
+    name: str
+    title: str
+    sha256: str
+    seed: int
+    cameras: Mapping[str, Camera]
+    gaze: GazeResult | None
+    gates: tuple[Gate, ...]
+    warnings: tuple[str, ...]
+
+    @property
+    def passed(self) -> bool:
+        """Whether all gates passed."""
+        return all(gate.passed for gate in self.gates)
+
+
+def to_json(calibration: Calibration) -> str:
+    """Return calibration.json: the same text for the same result."""
+    document = _document(calibration)
+    return json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def _document(c: Calibration) -> dict[str, Any]:
+    document: dict[str, Any] = {
+        "format": FORMAT,
+        "generator": f"calib {__version__}",
+        "dataset": {"name": c.name, "sha256": c.sha256},
+        "seed": c.seed,
+    }
+    if c.cameras:
+        document["intrinsics"] = {name: _camera(camera) for name, camera in c.cameras.items()}
+    if c.gaze is not None:
+        document |= _gaze(c.gaze)
+    document["gates"] = [vars(gate) for gate in c.gates]
+    document["warnings"] = list(c.warnings)
+    cleaned: dict[str, Any] = _clean(document)
+    return cleaned
+
+
+def _clean(value: Any) -> Any:
+    """Return a JSON value: arrays as lists, floats to `DIGITS`; entries without a number left out.
+
+    A number that does not exist (infinite, not a number) is absent from a mapping and null in a
+    list, where leaving it out would move the others.
+    """
+    if isinstance(value, Mapping):
+        items = ((str(key), _clean(item)) for key, item in value.items())
+        return {key: item for key, item in items if item is not None}
+    if isinstance(value, np.ndarray):
+        return _clean(value.tolist())
+    if isinstance(value, tuple | list):
+        return [_clean(item) for item in value]
+    if isinstance(value, np.generic):
+        return _clean(value.item())
+    if isinstance(value, float):
+        return float(f"{value:.{DIGITS}g}") if math.isfinite(value) else None
+    return value
+
+
+def _camera(camera: Camera) -> dict[str, Any]:
+    return {
+        "source": "given",
+        "lens_model": f"OPENCV{len(camera.distortion)}",
+        "matrix": camera.matrix,
+        "distortion": camera.distortion,
+        "image_size": list(camera.image_size),
+    }
+
+
+def _gaze(g: GazeResult) -> dict[str, Any]:
+    document: dict[str, Any] = {"fits": _fits(g)}
+    if g.comparison is not None:
+        document["comparison"] = [_score(score) for score in g.comparison.scores]
+        document["selected"] = g.comparison.selected
+        document["selection_rule"] = g.comparison.reason
+    if g.calibrated is not None:
+        factor = NORMAL_FACTOR if g.depths is None else g.depths.factor95
+        document["measurement"] = _measurement(g.calibrated) | {"factor95": factor}
+    if g.depths is not None:
+        document["depth_uncertainty"] = _depths(g.depths)
+    if g.validation is not None:
+        document["validation"] = _validation(g.validation)
+        document["validation_summary"] = {
+            e.name: {"rms_rel": e.rms_rel, "mean_rel": e.mean_rel} for e in g.validation.errors
+        }
+    document["not_fitted"] = dict(g.refused)
+    return document
+
+
+def _estimate(names: Sequence[str], values: FloatArray, covariance: FloatArray) -> dict[str, Any]:
+    std = np.sqrt(np.diag(covariance))
+    pairs = zip(names, values, std, strict=True)
+    return {
+        "parameters": {name: {"value": value, "std": s} for name, value, s in pairs},
+        "names": list(names),
+        "covariance": covariance,
+    }
+
+
+def _fits(g: GazeResult) -> dict[str, Any]:
+    fits: dict[str, Any] = {}
+    if g.linear is not None:
+        fits["base/linear"] = _linear(g.linear)
+    if g.convex is not None:
+        fits["base/convex"] = _convex(g.convex)
+    fits |= {f"{name}/robust": _robust(fit) for name, fit in g.robust.items()}
+    fits |= {f"{name}/posterior": _posterior(p) for name, p in g.posterior.items()}
+    return fits
+
+
+def _linear(fit: LinearFit) -> dict[str, Any]:
+    return _estimate(fit.names, fit.values, fit.covariance) | {
+        "residual_mrad": fit.residual_mrad,
+        "sigma_mrad": fit.sigma_mrad,
+        "outliers": [],
+        "diagnostics": {
+            "product_mm": fit.product_mm,
+            "inconsistency_mm": fit.inconsistency_mm,
+            "implied_axis_z_mm": fit.implied_axis_z_mm,
+            "condition": fit.condition,
+        },
+    }
+
+
+def _convex(fit: ConvexFit) -> dict[str, Any]:
+    return _estimate(fit.names, fit.values, fit.covariance) | {
+        "residual_mrad": fit.residual_mrad,
+        "sigma_mrad": fit.sigma_mrad,
+        "outliers": list(fit.outliers),
+        "diagnostics": {
+            "status": fit.status,
+            "optimal": fit.optimal,
+            "objective": fit.objective,
+            "duality_gap": fit.duality_gap,
+            "at_bound": list(fit.at_bound),
+            "implied_axis_z_mm": fit.implied_axis_z_mm,
+        },
+    }
+
+
+def effective_baseline(
+    names: Sequence[str], values: FloatArray, covariance: FloatArray
+) -> tuple[float, float] | None:
+    """Return L_b + e, the baseline seen at 90 deg, with its standard deviation, mm.
+
+    None for models without eccentricity.
+    """
+    if "eccentricity_mm" not in names:
+        return None
+    pick = np.array([name in ("baseline_mm", "eccentricity_mm") for name in names], dtype=float)
+    return float(pick @ values), float(np.sqrt(pick @ covariance @ pick))
+
+
+def _derived(names: Sequence[str], values: FloatArray, covariance: FloatArray) -> dict[str, Any]:
+    found = effective_baseline(names, values, covariance)
+    if found is None:
+        return {}
+    return {"derived": {"effective_baseline_mm": {"value": found[0], "std": found[1]}}}
+
+
+def _robust(fit: RobustFit) -> dict[str, Any]:
+    document = _estimate(fit.names, fit.values, fit.covariance)
+    for name, who, share in zip(fit.names, fit.identified_by, fit.data_share, strict=True):
+        document["parameters"][name] |= {"identified_by": who, "std_over_data_only_std": share}
+    return (
+        document
+        | _derived(fit.names, fit.values, fit.covariance)
+        | {
+            "residual_mrad": fit.residual_mrad,
+            "sigma_mrad": fit.sigma_mrad,
+            "outliers": list(fit.outliers),
+            "diagnostics": {
+                "noise_scale": fit.noise_scale,
+                "data_parameters": fit.data_parameters,
+                "standardised_residual": fit.standardised,
+                "evaluations": fit.evaluations,
+            },
+        }
+    )
+
+
+def _posterior(p: Posterior) -> dict[str, Any]:
+    document = _estimate(p.names, p.mean, p.covariance)
+    identified = (*p.identified_by, "both")
+    for i, name in enumerate(p.names):
+        low, middle, high = p.quantiles[i]
+        document["parameters"][name] |= {
+            "q2.5": low,
+            "q50": middle,
+            "q97.5": high,
+            "ess": p.ess_bulk[i],
+            "ess_tail": p.ess_tail[i],
+            "rhat": p.r_hat[i],
+            "identified_by": identified[i],
+        }
+    free = slice(0, len(p.names) - 1)
+    return (
+        document
+        | _derived(p.names[:-1], p.mean[free], p.covariance[free, free])
+        | {
+            "converged": p.converged,
+            "tau": dict(zip(p.names, p.tau, strict=True)),
+            "draws": len(p.flat),
+            "steps": p.steps,
+            "acceptance": p.acceptance,
+            "importance": {
+                "k_hat": p.k_hat,
+                "ess": p.importance_ess,
+                "mean": p.importance_mean,
+                "std": p.importance_std,
+                "agreement": p.agreement,
+                "agrees": p.agrees,
+            },
+        }
+    )
+
+
+def _score(s: ModelScore) -> dict[str, Any]:
+    return {
+        "model": s.model,
+        "loo": s.loo,
+        "loo_se": s.loo_se,
+        "aicc": s.aicc,
+        "bic": s.bic,
+        "cv_depth_rms_rel": s.cv_depth_rms_rel,
+        "validation_depth_rms_rel": s.validation_depth_rms_rel,
+        "weight": s.weight,
+        "pareto_k_max": s.pareto_k.max(),
+        "refitted": list(s.refitted),
+        "unreliable": list(s.unreliable),
+    }
+
+
+def _spread(spread: Spread) -> dict[str, float]:
+    return {"normal": spread.normal, "width": spread.width}
+
+
+def _measurement(c: CalibratedInstrument) -> dict[str, Any]:
+    """Return all that `calib measure` needs."""
+    instrument: Instrument = c.instrument
+    reading = instrument.reading
+    return {
+        "model": c.model,
+        "names": list(instrument.parameters.names),
+        "values": instrument.parameters.values,
+        "covariance": instrument.parameters.covariance,
+        "noise_factor": c.noise_factor,
+        "reading": {
+            "x1c": _spread(reading.x1c),
+            "y1c": _spread(reading.y1c),
+            "alpha2_rad": _spread(reading.alpha2_rad),
+            "gaze_residual_rad": _spread(reading.gaze_residual_rad),
+        },
+        "calibrated_depth_mm": c.calibrated_mm,
+    }
+
+
+def _depths(table: DepthTable) -> list[dict[str, Any]]:
+    p = table.prediction
+    return [
+        {
+            "z_mm": table.depth_mm[i],
+            "u_mm": p.u_mm[i],
+            "low95_mm": p.low95_mm[i],
+            "high95_mm": p.high95_mm[i],
+            "gum_u_mm": p.gum_u_mm[i],
+            "gum_valid": bool(p.gum_valid[i]),
+            "extrapolated": bool(table.extrapolated[i]),
+        }
+        for i in range(len(table.depth_mm))
+    ]
+
+
+def _validation(v: ValidationResult) -> list[dict[str, Any]]:
+    p = v.prediction
+    rows = []
+    for i, name in enumerate(v.ids):
+        x, y, _ = v.position_mm[i]
+        rows.append(
+            {
+                "id": name,
+                "group": v.groups[i],
+                "x_mm": x,
+                "y_mm": y,
+                "z_mm": p.z_mm[i],
+                "u_mm": p.u_mm[i],
+                "low95_mm": p.low95_mm[i],
+                "high95_mm": p.high95_mm[i],
+                "reference_mm": v.reference_mm[i],
+                "error_rel": v.errors[0].error_rel[i],
+                "other_references_error_rel": {e.name: e.error_rel[i] for e in v.errors[1:]},
+                "own_angle_z_mm": {model: z[i] for model, z in v.own_depth_mm.items()},
+            }
+        )
+    return rows

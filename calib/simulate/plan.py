@@ -1,0 +1,132 @@
+"""From options to the contents of a dataset."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from calib.errors import UsageError
+from calib.geometry.camera import project
+from calib.geometry.parameters import MODELS, NAMES
+from calib.images.types import Board
+from calib.simulate.contents import (
+    Contents,
+    Session,
+    SimulationOptions,
+    Table,
+    camera_section,
+    degrees,
+    finish,
+    ids,
+)
+from calib.simulate.rig import Rig, draw_rig
+from calib.simulate.scene import fitting_board
+from calib.simulate.session import draw_image_session
+from calib.simulate.tables import SimulatedRows, draw_targets, observe
+
+
+def plan_dataset(options: SimulationOptions) -> Contents:
+    """Return the contents of the dataset that the options describe.
+
+    Raises
+    ------
+    UsageError
+        If the options make no dataset: an unknown model or parameter, no rows, places that no
+        camera sees.
+    """
+    _check(options)
+    rigs, rows, lengths = np.random.default_rng(options.seed).spawn(3)
+    rig = draw_rig(
+        rigs,
+        model=options.model,
+        fixed=options.fixed,
+        image_size=options.image_size,
+        noise=options.noise,
+    )
+    near, _ = options.depth_range_mm or rig.depth_range_mm
+    board = options.board or fitting_board(rig, near_mm=near)
+    draw = draw_image_session if options.images else _draw_table_session
+    return finish(options, draw(options, rig, board, rows), lengths)
+
+
+def _check(options: SimulationOptions) -> None:
+    if options.model not in MODELS:
+        raise UsageError(f"unknown model {options.model!r}; the models are {', '.join(MODELS)}")
+    unknown = [name for name in options.fixed if name not in NAMES]
+    if unknown:
+        raise UsageError(f"unknown parameter {unknown[0]!r}; they are {', '.join(NAMES)}")
+    if not 0 <= options.outlier_share <= 1:
+        raise UsageError(f"a share of outliers of {options.outlier_share:g} is not between 0 and 1")
+    if options.depth_range_mm is not None:
+        near, far = options.depth_range_mm
+        if not 0 < near < far:
+            raise UsageError(f"depths from {near:g} to {far:g} mm are no range; give near, far")
+    for count, least, what in _counts(options):
+        if count < least:
+            raise UsageError(f"{count} {what}; ask for {least} at least")
+
+
+def _counts(options: SimulationOptions) -> tuple[tuple[int, int, str], ...]:
+    """Return every count asked for, the least that makes sense and its name."""
+    return (
+        (options.rows, 1, "gaze rows"),
+        (options.validation_rows, 0, "validation rows"),
+        (options.views.count, 1, "intrinsic views a camera"),
+        (options.sweep.placements, 0, "placements of the yaw sweep"),
+        (options.sweep.images, 2, "images a placement of the yaw sweep"),
+    )
+
+
+def _draw_table_session(
+    options: SimulationOptions, rig: Rig, board: Board, rng: np.random.Generator
+) -> Session:
+    """Draw a session that hands over finished coordinates."""
+    gazes, checks = rng.spawn(2)
+    depths = options.depth_range_mm or rig.depth_range_mm
+    measured = options.residual_measured
+    gaze = observe(
+        rig,
+        gazes,
+        draw_targets(rig, gazes, count=options.rows, depth_range_mm=depths),
+        residual_measured=measured,
+        outlier_share=options.outlier_share,
+    )
+    validation = observe(
+        rig,
+        checks,
+        draw_targets(rig, checks, count=options.validation_rows, depth_range_mm=depths),
+        residual_measured=measured,
+    )
+    manifest = {
+        "gaze": {
+            "table": "gaze.csv",
+            "reference": "simulated",
+            "u_x1c": rig.noise.pixel_px / float(rig.c1.matrix[0, 0]),
+            "u_z_mm": rig.noise.z_mm,
+            "u_z_rel": rig.noise.z_rel,
+        },
+        "validation": {"table": "validation.csv", "reference": "simulated"},
+    }
+    if measured:
+        manifest["cameras"] = {"c2": camera_section(rig.c2)}
+    tables = {
+        "gaze.csv": _table(rig, "g", gaze, residual_measured=measured),
+        "validation.csv": _table(rig, "v", validation, residual_measured=measured),
+    }
+    return Session(rig, board, gaze, validation, manifest, tables)
+
+
+def _table(rig: Rig, letter: str, rows: SimulatedRows, *, residual_measured: bool) -> Table:
+    """Return the table of rows given by coordinates."""
+    seen = rows.observed
+    columns: dict[str, Sequence[str | float]] = {
+        "id": ids(letter, len(seen)),
+        "x1c": seen.x1c.tolist(),
+        "y1c": seen.y1c.tolist(),
+        "alpha2_deg": degrees(seen.alpha2_rad),
+    }
+    if residual_measured:
+        rays = np.column_stack([np.tan(seen.gaze_residual_rad), rows.rays_c2[:, 1]])
+        columns["u2_px"] = project(rig.c2, rays)[:, 0].tolist()
+    return Table.of(columns | {"z_mm": seen.z_mm.tolist(), "u_z_mm": seen.std[:, -1].tolist()})

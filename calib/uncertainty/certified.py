@@ -1,0 +1,176 @@
+"""Stage: the depths a certificate states, each at the least certain ray of the field."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.uncertainty.conformity import (
+    Conformity,
+    ToleranceRule,
+    measured_conformity,
+    predicted_conformity,
+)
+from calib.uncertainty.depth import (
+    DepthUncertainty,
+    PositionUncertainty,
+    depth_uncertainty,
+    least_certain,
+    position_uncertainty,
+)
+from calib.uncertainty.measurement import Instrument, Reading
+
+CERTIFIED_DEPTHS = 5
+"""Depths a certificate states, from the nearest to the farthest calibrated: three at least."""
+
+
+@dataclass(frozen=True)
+class CertifiedDepth:
+    """A depth with all that a certificate says of it.
+
+    Parameters
+    ----------
+    result, position
+        Uncertainty of depth and of position.
+    conformity
+        None without a tolerance.
+    extrapolated
+        Whether the depth lies outside the calibrated ones.
+    """
+
+    result: DepthUncertainty
+    position: PositionUncertainty
+    conformity: Conformity | None
+    extrapolated: bool
+
+
+@dataclass(frozen=True)
+class CheckedDepth:
+    """A measured depth against a reference that took no part in the calibration.
+
+    Parameters
+    ----------
+    name
+        Of the row.
+    reference_mm, u_reference_mm
+        Reference depth with its standard uncertainty.
+    z_mm, u_mm, low95_mm, high95_mm
+        Measured depth, standard uncertainty (infinite where there is none), 95 % interval.
+    conformity
+        Of the error; None without a tolerance.
+    extrapolated
+        Whether the reference lies outside the calibrated depths.
+    """
+
+    name: str
+    reference_mm: float
+    u_reference_mm: float
+    z_mm: float
+    u_mm: float
+    low95_mm: float
+    high95_mm: float
+    conformity: Conformity | None
+    extrapolated: bool
+
+    @property
+    def consistent(self) -> bool:
+        """Whether the error lies within its own 95 % uncertainty, reference included."""
+        error = self.z_mm - self.reference_mm
+        side = self.z_mm - self.low95_mm if error > 0 else self.high95_mm - self.z_mm
+        return abs(error) <= math.hypot(side, 2 * self.u_reference_mm)
+
+
+def depths_to_certify(low_mm: float, high_mm: float) -> tuple[float, ...]:
+    """Return round depths from `low_mm` to `high_mm`, all inside, `CERTIFIED_DEPTHS` of them."""
+    span = high_mm - low_mm
+    if span <= 0:
+        return (low_mm,)
+    # Round to a twentieth of the range or finer: the ends come near those of the calibration.
+    step = 10.0 ** math.floor(math.log10(span / 20))
+    first, last = math.ceil(low_mm / step), math.floor(high_mm / step)
+    places = np.linspace(first, last, CERTIFIED_DEPTHS).round()
+    return tuple(float(place * step) for place in dict.fromkeys(places.tolist()))
+
+
+def certify_depth(
+    instrument: Instrument,
+    rays: Sequence[Reading],
+    rng: np.random.Generator,
+    *,
+    calibrated_mm: tuple[float, float],
+    tolerance: ToleranceRule | None,
+) -> CertifiedDepth:
+    """Return what a certificate says of one depth, at the least certain of `rays`.
+
+    Parameters
+    ----------
+    rays
+        Readings of points at this depth over the field of view.
+    calibrated_mm
+        Least and greatest depth of the calibration.
+    tolerance
+        None where the manifest states none.
+
+    Raises
+    ------
+    EstimationError
+        If the depth is so uncertain that it has no upper limit.
+    """
+    reading = least_certain(instrument, rays)
+    result, draws = depth_uncertainty(instrument, reading, rng)
+    conformity = None
+    if tolerance is not None:
+        conformity = predicted_conformity(result, draws, tolerance=tolerance)
+    return CertifiedDepth(
+        result=result,
+        position=position_uncertainty(instrument, reading, rng),
+        conformity=conformity,
+        extrapolated=_outside(result.z_mm, calibrated_mm),
+    )
+
+
+def check_depth(
+    *,
+    name: str,
+    reference_mm: float,
+    u_reference_mm: float,
+    z_mm: float,
+    u_mm: float,
+    low95_mm: float,
+    high95_mm: float,
+    calibrated_mm: tuple[float, float],
+    tolerance: ToleranceRule | None,
+) -> CheckedDepth:
+    """Return a measured depth against its reference, with the statement of conformity."""
+    conformity = None
+    if tolerance is not None:
+        conformity = measured_conformity(
+            z_mm=z_mm,
+            u_mm=u_mm,
+            low95_mm=low95_mm,
+            high95_mm=high95_mm,
+            reference_mm=reference_mm,
+            u_reference_mm=u_reference_mm,
+            tolerance=tolerance,
+        )
+    return CheckedDepth(
+        name=name,
+        reference_mm=reference_mm,
+        u_reference_mm=u_reference_mm,
+        z_mm=z_mm,
+        u_mm=u_mm,
+        low95_mm=low95_mm,
+        high95_mm=high95_mm,
+        conformity=conformity,
+        extrapolated=_outside(reference_mm, calibrated_mm),
+    )
+
+
+def _outside(z_mm: float, calibrated_mm: tuple[float, float]) -> bool:
+    low, high = calibrated_mm
+    # The ends of the range are calibrated depths themselves, whatever their last bit.
+    slack = 1e-9 * high
+    return not low - slack <= z_mm <= high + slack

@@ -1,0 +1,92 @@
+"""Distributions of inputs for Monte Carlo, and how to draw from them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+
+from calib.arrays import FloatArray
+
+PARTS = 10
+"""Parts into which given draws are divided: their scatter is known to a quarter."""
+
+
+@dataclass(frozen=True)
+class NormalInputs:
+    """Jointly normal inputs: mean, shape (k,), and covariance, shape (k, k), semi-definite."""
+
+    mean: FloatArray
+    covariance: FloatArray
+
+
+@dataclass(frozen=True)
+class StudentInputs:
+    """Inputs with a joint t distribution, scaled and shifted (JCGM 101, 6.4.9; JCGM 102, 5.3.2).
+
+    Parameters
+    ----------
+    mean
+        Shape (k,).
+    scale
+        Covariance matrix as estimated with `degrees_of_freedom`, shape (k, k).
+    degrees_of_freedom
+        At two or fewer the standard deviation does not exist; intervals still do.
+    """
+
+    mean: FloatArray
+    scale: FloatArray
+    degrees_of_freedom: float
+
+
+@dataclass(frozen=True)
+class RectangularInputs:
+    """Independent inputs, uniform within `centre` ± `half_width`, each shape (k,)."""
+
+    centre: FloatArray
+    half_width: FloatArray
+
+
+@dataclass(frozen=True)
+class GivenInputs:
+    """Draws from a joint distribution, for example a posterior, in the order they were drawn.
+
+    Parameters
+    ----------
+    draws
+        Shape (m, k), m at least `PARTS`.
+    """
+
+    draws: FloatArray
+
+
+Inputs: TypeAlias = NormalInputs | StudentInputs | RectangularInputs | GivenInputs
+
+
+def factor(covariance: FloatArray) -> FloatArray:
+    """Return F, shape (k, k), with F Fᵀ = covariance; semi-definite matrices are welcome."""
+    scale = np.sqrt(np.maximum(np.diag(covariance), 0))
+    safe = np.where(scale > 0, scale, 1.0)
+    # Working on the correlations keeps millimetres and microradians apart.
+    values, vectors = np.linalg.eigh(covariance / np.outer(safe, safe))
+    root: FloatArray = scale[:, None] * vectors * np.sqrt(np.maximum(values, 0))
+    return root
+
+
+def draw(inputs: Inputs, rng: np.random.Generator, count: int, *, part: int = 0) -> FloatArray:
+    """Return draws of inputs, shape (count, k); given draws come from `part` modulo `PARTS`."""
+    match inputs:
+        case NormalInputs(mean=mean, covariance=covariance):
+            drawn = mean + rng.standard_normal((count, len(mean))) @ factor(covariance).T
+        case StudentInputs(mean=mean, scale=scale, degrees_of_freedom=freedom):
+            shrink = np.sqrt(rng.chisquare(freedom, count) / freedom)
+            normal = rng.standard_normal((count, len(mean))) @ factor(scale).T
+            drawn = mean + normal / shrink[:, None]
+        case RectangularInputs(centre=centre, half_width=half_width):
+            drawn = centre + half_width * rng.uniform(-1, 1, (count, len(centre)))
+        case GivenInputs(draws=draws):
+            edges = np.linspace(0, len(draws), PARTS + 1).astype(int)
+            part %= PARTS
+            drawn = draws[rng.integers(edges[part], edges[part + 1], count)]
+    return drawn

@@ -1,0 +1,165 @@
+"""Gates and warnings: whether a result may be used, and what its reader should know."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from calib.fit.posterior import ESS_GOAL, R_HAT_LIMIT, Posterior
+from calib.fit.priors import NOISE_SCALE
+from calib.gates import Gate
+from calib.instrument import CalibratedInstrument, DepthTable, ValidationResult
+from calib.results import GazeResult
+
+NOISE_SCALE_LIMIT = 5.0
+"""Residuals five times what the manifest states: no honest estimate is that far off; either a
+statement, a row or the model is wrong."""
+
+NOISE_SCALE_REMARK = 2.0
+
+MISSED_SHARE = 0.1
+"""Share of validation depths outside their 95 % intervals that chance explains often enough."""
+
+OUTLIER_SHARE_LIMIT = 1 / 6
+"""Above it the noise scale itself may be an outlier's: see `calib.fit.noise`."""
+
+DEPTH_LIMIT_REL = 0.2
+"""Relative standard uncertainty, in the middle of the calibrated depths, above which nothing has
+been calibrated that a look would not tell."""
+
+
+def gaze_gates(gaze: GazeResult) -> tuple[Gate, ...]:
+    """Return the gates of the gaze calibration."""
+    gates = [gaze.sense, _fitted(gaze)]
+    gates += [_convergence(p) for p in gaze.posterior.values()]
+    gates += [_agreement(p) for p in gaze.posterior.values()]
+    if gaze.comparison is not None and gaze.calibrated is not None and gaze.depths is not None:
+        gates += [
+            _residuals(gaze, gaze.comparison.selected),
+            _outliers(gaze, gaze.comparison.selected),
+        ]
+        gates.append(_identified(gaze.calibrated, gaze.depths))
+    return tuple(gates)
+
+
+def _fitted(gaze: GazeResult) -> Gate:
+    if gaze.posterior:
+        return Gate("fit", passed=True, detail=f"fitted: {', '.join(gaze.posterior)}")
+    reasons = "; ".join(f"{name}: {reason}" for name, reason in gaze.refused.items())
+    return Gate("fit", passed=False, detail=f"no model could be fitted: {reasons}")
+
+
+def _convergence(p: Posterior) -> Gate:
+    detail = (
+        f"{p.steps} steps, {p.steps / p.tau.max():.0f} autocorrelation times; at least "
+        f"{min(p.ess_bulk.min(), p.ess_tail.min()):.0f} effective draws (wanted {ESS_GOAL:.0f}), "
+        f"R-hat at most {p.r_hat.max():.4f} (limit {R_HAT_LIMIT})"
+    )
+    if not p.converged:
+        detail += (
+            "; the chain did not converge: add rows, state tighter priors, or look for outliers"
+        )
+    return Gate(f"convergence {p.model}", passed=p.converged, detail=detail)
+
+
+def _agreement(p: Posterior) -> Gate:
+    detail = (
+        f"importance sampling: k-hat {p.k_hat:.2f}, {p.importance_ess:.0f} effective draws; its "
+        f"means differ from emcee's by {p.agreement:.2f} of what is allowed"
+    )
+    if not p.agrees:
+        detail += "; the two computations do not confirm each other: do not use this posterior"
+    return Gate(f"agreement {p.model}", passed=p.agrees, detail=detail)
+
+
+def _residuals(gaze: GazeResult, model: str) -> Gate:
+    scale = gaze.robust[model].noise_scale
+    detail = (
+        f"residuals of {model} are {scale:.2f} times what the stated uncertainties lead to expect"
+    )
+    passed = scale <= NOISE_SCALE_LIMIT
+    if not passed:
+        detail += (
+            f" (limit {NOISE_SCALE_LIMIT:g}): a statement in dataset.toml, some rows or the model "
+            "are wrong; look at the residuals in the report"
+        )
+    return Gate("residuals", passed=passed, detail=detail)
+
+
+def _outliers(gaze: GazeResult, model: str) -> Gate:
+    outliers, count = gaze.robust[model].outliers, len(gaze.rows)
+    passed = len(outliers) <= OUTLIER_SHARE_LIMIT * count
+    named = f": {', '.join(outliers[:10])}" if outliers else ""
+    detail = f"{len(outliers)} of {count} rows disagree with the others{named}"
+    if not passed:
+        detail += "; too many to be chance: check these rows, units and groups"
+    return Gate("outliers", passed=passed, detail=detail)
+
+
+def _identified(calibrated: CalibratedInstrument, depths: DepthTable) -> Gate:
+    low, high = calibrated.calibrated_mm
+    middle = int(np.argmin(np.abs(depths.depth_mm - (low + high) / 2)))
+    relative = float(depths.prediction.u_mm[middle] / depths.depth_mm[middle])
+    passed = relative <= DEPTH_LIMIT_REL
+    detail = f"a depth of {depths.depth_mm[middle]:.0f} mm is measured to {100 * relative:.2g} %"
+    if not passed:
+        detail += (
+            f" (limit {100 * DEPTH_LIMIT_REL:.0f} %): the rows do not determine the calibration; "
+            "add targets at other depths and yaw angles"
+        )
+    return Gate("identified", passed=passed, detail=detail)
+
+
+def gaze_warnings(gaze: GazeResult) -> tuple[str, ...]:
+    """Return what the reader should know of the gaze calibration."""
+    found = []
+    if gaze.comparison is not None:
+        model = gaze.comparison.selected
+        fit = gaze.robust[model]
+        if fit.noise_scale > NOISE_SCALE_REMARK:
+            found.append(
+                f"residuals of {model} are {fit.noise_scale:.1f} times what the manifest's "
+                f"uncertainties lead to expect; all uncertainties are widened accordingly "
+                f"({NOISE_SCALE})"
+            )
+        found += [
+            f"{name} is decided by its prior, not by the rows"
+            for name, who in zip(fit.names, fit.identified_by, strict=True)
+            if who == "prior"
+        ]
+        found += [
+            f"model {score.model}: left-out density of row {', '.join(score.unreliable)} is "
+            "unreliable, its importance weights have a heavy tail"
+            for score in gaze.comparison.scores
+            if score.unreliable
+        ]
+    if gaze.convex is not None and not gaze.convex.optimal:
+        found.append(
+            f"base/convex is not proved optimal: duality gap {gaze.convex.duality_gap:.1e}"
+        )
+    if gaze.validation is not None:
+        found += _disagreements(gaze.validation)
+    return tuple(found)
+
+
+def _disagreements(validation: ValidationResult) -> list[str]:
+    """Return a warning for each reference that the measured depths contradict.
+
+    E_n is the difference over the expanded uncertainty of the difference (ISO 13528, 9.7). Rows
+    that borrow their depth from one row are one measurement.
+    """
+    p, found = validation.prediction, []
+    first = np.unique(validation.depth_of, return_index=True)[1]
+    half = (p.high95_mm - p.low95_mm) / 2
+    for error in validation.errors:
+        difference = error.error_rel * error.reference_mm
+        score = np.abs(difference) / np.hypot(half, 2 * error.std_mm)
+        known = np.isfinite(score[first])
+        bad = int(np.sum(score[first][known] > 1))
+        if bad > MISSED_SHARE * known.sum():
+            found.append(
+                f"{bad} of {int(known.sum())} validation depths differ from {error.name} by more "
+                "than their 95 % uncertainties together (E_n > 1): calibration reference and "
+                "validation reference contradict each other. The uncertainties stated are against "
+                "the reference used to calibrate"
+            )
+    return found

@@ -11,6 +11,7 @@ import shlex
 import signal
 import sys
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -64,6 +65,19 @@ def _parser() -> argparse.ArgumentParser:
     add.add_argument("--out", type=Path, metavar="CSV", help="default: standard output")
     add.add_argument("--lengths", type=Path, metavar="CSV", help="id, from, to: distances instead")
     add.set_defaults(run=_measure)
+
+    add = commands.add_parser("simulate", help="a dataset with known truth")
+    add.add_argument("out", type=Path, metavar="OUT", help="folder to make")
+    add.add_argument("--seed", type=_seed, required=True, metavar="N")
+    add.add_argument("--images", action="store_true", help="render the whole rig's pictures")
+    add.add_argument("--model", default="axis-offset", help="default: axis-offset")
+    add.add_argument("--rows", type=int, default=14, metavar="N", help="gaze rows; default: 14")
+    add.add_argument("--validation-rows", type=int, default=10, metavar="N", help="default: 10")
+    add.add_argument("--outliers", type=float, default=0.0, metavar="SHARE", help="gross errors")
+    add.add_argument(
+        "--set", action="append", default=[], metavar="NAME=VALUE", help="fix a parameter"
+    )
+    add.set_defaults(run=_simulate)
     return parser
 
 
@@ -175,6 +189,37 @@ def _measure(arguments: argparse.Namespace) -> int:
     else:
         write_bytes(arguments.out, result.encode())
     return DONE
+
+
+def _simulate(arguments: argparse.Namespace) -> int:
+    from calib.console import Console
+    from calib.simulate.contents import SimulationOptions
+    from calib.simulate.dataset import simulate_dataset
+
+    options = SimulationOptions(
+        seed=arguments.seed,
+        model=arguments.model,
+        rows=arguments.rows,
+        validation_rows=arguments.validation_rows,
+        images=arguments.images,
+        outlier_share=arguments.outliers,
+        fixed=dict(_assignment(text) for text in arguments.set),
+    )
+    console = Console()
+    try:
+        simulate_dataset(arguments.out, options, progress=partial(console.progress, "images"))
+    finally:
+        console.close()
+    print(f"{arguments.out}: written, with its truth in truth.json")
+    return DONE
+
+
+def _assignment(text: str) -> tuple[str, float]:
+    name, _, value = text.partition("=")
+    try:
+        return name, float(value)
+    except ValueError:
+        raise UsageError(f"--set {text}: give NAME=VALUE, for example axis_z_mm=-20") from None
 
 
 if __name__ == "__main__":

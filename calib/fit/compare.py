@@ -1,5 +1,8 @@
 """Models side by side, and the rule that selects one.
 
+The same scores and the same rule serve Markov chains (`compare_models`) and importance samples
+(`compare_samples`): a chain is a sample of equal weights.
+
 The rule: the model with the fewest free parameters whose expected log predictive density (LOO) is
 not worse than the best one's by more than `CLEARLY` standard errors of the paired difference, or
 by less than `NOTICEABLY`. A richer model must earn its parameters.
@@ -18,7 +21,7 @@ from scipy.special import logsumexp
 from calib.arrays import FloatArray
 from calib.errors import EstimationError
 from calib.fit.density import log_posterior
-from calib.fit.importance import K_HAT_LIMIT, sample_importance
+from calib.fit.importance import K_HAT_LIMIT, ImportanceSample, sample_importance
 from calib.fit.posterior import Posterior, laplace
 from calib.fit.priors import Priors
 from calib.fit.robust import RobustFit, fit_robust
@@ -129,14 +132,71 @@ def compare_models(
     validation
         Rows never used to fit; None without them.
     """
-    names = sorted(fits, key=lambda name: len(MODELS[name].free))
-    loos = [
-        _loo(rows, fits[name], posteriors[name], priors, child)
-        for name, child in zip(names, seed.spawn(len(names)), strict=True)
-    ]
-    weights = stacking_weights(np.stack([loo.pointwise for loo in loos], axis=1))
+    draws = {name: _of_chain(posteriors[name], fit) for name, fit in fits.items()}
+    loos = _leave_one_out(rows, fits, draws, priors, seed)
+    left_out = {name: _left_out_depth_error(rows, fit, priors) for name, fit in fits.items()}
+    unseen = {name: _validation_error(fit, validation) for name, fit in fits.items()}
+    return _compare(rows, fits, priors, loos, _DepthErrors(left_out, unseen))
+
+
+def compare_samples(
+    rows: Observations,
+    fits: Mapping[str, RobustFit],
+    samples: Mapping[str, ImportanceSample],
+    priors: Priors,
+    *,
+    seed: SeedSequence,
+) -> Comparison:
+    """Return the same comparison from importance samples, without depth errors of left-out rows.
+
+    A hundred times faster than with Markov chains, for studies of many rigs.
+
+    Parameters
+    ----------
+    fits, samples
+        By model name, the same names in both.
+    """
+    draws = {name: _Draws(s.draws, _log(s.weights)) for name, s in samples.items()}
+    loos = _leave_one_out(rows, fits, draws, priors, seed)
+    return _compare(rows, fits, priors, loos, _DepthErrors({}, {}))
+
+
+@dataclass(frozen=True)
+class _Draws:
+    """Draws from a posterior, shape (m, p + 1), with the logarithms of their weights, shape (m,).
+
+    Without what the shared errors add: the rows contain it already.
+    """
+
+    draws: FloatArray
+    log_weights: FloatArray
+
+
+@dataclass(frozen=True)
+class _DepthErrors:
+    """Relative root mean square depth errors by model, as far as they are known."""
+
+    left_out: Mapping[str, float | None]
+    validation: Mapping[str, float | None]
+
+
+def _log(weights: FloatArray) -> FloatArray:
+    with np.errstate(divide="ignore"):
+        logarithm: FloatArray = np.log(weights)
+    return logarithm
+
+
+def _compare(
+    rows: Observations,
+    fits: Mapping[str, RobustFit],
+    priors: Priors,
+    loos: Mapping[str, _Loo],
+    errors: _DepthErrors,
+) -> Comparison:
+    """Return scores and selection, models in order of rising number of free parameters."""
+    weights = stacking_weights(np.stack([loo.pointwise for loo in loos.values()], axis=1))
     scores = []
-    for name, loo, weight in zip(names, loos, weights, strict=True):
+    for (name, loo), weight in zip(loos.items(), weights, strict=True):
         aicc, bic = _information_criteria(rows, fits[name], priors)
         scores.append(
             ModelScore(
@@ -149,8 +209,8 @@ def compare_models(
                 unreliable=tuple(rows.ids[i] for i in loo.unreliable),
                 aicc=aicc,
                 bic=bic,
-                cv_depth_rms_rel=_left_out_depth_error(rows, fits[name], priors),
-                validation_depth_rms_rel=_validation_error(fits[name], validation),
+                cv_depth_rms_rel=errors.left_out.get(name),
+                validation_depth_rms_rel=errors.validation.get(name),
                 weight=float(weight),
             )
         )
@@ -197,20 +257,35 @@ class _Loo:
     unreliable: tuple[int, ...]
 
 
+def _leave_one_out(
+    rows: Observations,
+    fits: Mapping[str, RobustFit],
+    draws: Mapping[str, _Draws],
+    priors: Priors,
+    seed: SeedSequence,
+) -> Mapping[str, _Loo]:
+    """Return the leave-one-out densities of each model, in order of rising size."""
+    names = sorted(fits, key=lambda name: len(MODELS[name].free))
+    return {
+        name: _loo(rows, fits[name], draws[name], priors, child)
+        for name, child in zip(names, seed.spawn(len(names)), strict=True)
+    }
+
+
 def _loo(
-    rows: Observations, fit: RobustFit, posterior: Posterior, priors: Priors, seed: SeedSequence
+    rows: Observations, fit: RobustFit, sample: _Draws, priors: Priors, seed: SeedSequence
 ) -> _Loo:
     """Return leave-one-out densities: Pareto-smoothed, exact where the smoothing fails."""
     target = log_posterior(rows, MODELS[fit.model], priors, fit.theta)
-    flat = posterior.flat
-    draws = flat[:: max(1, len(flat) // LOO_DRAWS)]
-    draws = draws - _shared_part(posterior, fit)[:: max(1, len(flat) // LOO_DRAWS)]
+    used = np.isfinite(sample.log_weights)
+    draws, log_prior_weights = sample.draws[used], sample.log_weights[used]
     pointwise, pareto_k = np.empty(len(rows)), np.empty(len(rows))
     step = max(1, CHUNK_ELEMENTS // len(draws))
     for start in range(0, len(rows), step):
         part = np.arange(start, min(start + step, len(rows)))
         density = target.only(part).pointwise(draws).T
-        log_weights, pareto_k[part] = array_stats.psislw(density)
+        # A draw's weight once the row is left out: its own over the row's density.
+        log_weights, pareto_k[part] = array_stats.psislw(density - log_prior_weights)
         log_weights -= logsumexp(log_weights, axis=1, keepdims=True)
         pointwise[part] = logsumexp(density + log_weights, axis=1)
     refitted, unreliable = [], []
@@ -223,12 +298,13 @@ def _loo(
     return _Loo(pointwise, pareto_k, tuple(refitted), tuple(unreliable))
 
 
-def _shared_part(posterior: Posterior, fit: RobustFit) -> FloatArray:
-    """Return what the shared errors add to each draw, shape (m, p + 1): rows contain it already."""
-    part = np.zeros(posterior.flat.shape)
-    common = posterior.common.reshape(len(part), fit.by_shared.shape[1])
-    part[:, :-1] = common @ fit.by_shared.T
-    return part
+def _of_chain(posterior: Posterior, fit: RobustFit) -> _Draws:
+    """Return `LOO_DRAWS` draws of the chains, without what the shared errors added to each."""
+    thin = max(1, len(posterior.flat) // LOO_DRAWS)
+    draws = posterior.flat[::thin].copy()
+    common = posterior.common.reshape(len(posterior.flat), fit.by_shared.shape[1])[::thin]
+    draws[:, :-1] -= common @ fit.by_shared.T
+    return _Draws(draws, np.zeros(len(draws)))
 
 
 def _exact(
@@ -246,8 +322,7 @@ def _exact(
         rng,
     )
     density = target.only(np.array([left_out])).pointwise(sample.draws)[:, 0]
-    with np.errstate(divide="ignore"):
-        term = logsumexp(density + np.log(sample.weights))
+    term = logsumexp(density + _log(sample.weights))
     return float(term), sample.k_hat < K_HAT_LIMIT
 
 

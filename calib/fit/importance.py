@@ -94,6 +94,16 @@ class ImportanceSample:
         picked: FloatArray = self.draws[chosen]
         return picked
 
+    def equally_weighted(self, count: int, rng: np.random.Generator) -> FloatArray:
+        """Return `count` draws of equal weight, shape (count, d), by systematic resampling.
+
+        A draw comes as often as its weight says, within one: no more noise than the weights have.
+        """
+        steps = (np.arange(count) + rng.random()) / count
+        chosen = np.searchsorted(np.cumsum(self.weights), steps)
+        picked: FloatArray = self.draws[np.minimum(chosen, len(self.draws) - 1)]
+        return picked
+
 
 @dataclass(frozen=True)
 class _Proposal:
@@ -104,7 +114,10 @@ class _Proposal:
 
     @classmethod
     def around(cls, centre: FloatArray, covariance: FloatArray) -> _Proposal:
+        """Return the proposal, or raise LinAlgError if the covariance is singular."""
         unit = np.sqrt(np.diag(covariance))
+        if not np.all(unit > 0):
+            raise np.linalg.LinAlgError("a quantity has no spread")
         correlation = covariance / np.outer(unit, unit) + 1e-12 * np.eye(len(unit))
         return cls(centre, unit[:, None] * np.linalg.cholesky(correlation))
 

@@ -269,7 +269,8 @@ class _Solution:
 
 def _inverse(information: FloatArray, model: Model) -> FloatArray:
     """Return the inverse of an information matrix, or say which parameters it does not hold."""
-    unit = np.array([PARAMETERS[i].scale for i in model.indices])
+    diagonal = np.diag(information)
+    unit = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
     value, vectors = np.linalg.eigh(information * np.outer(unit, unit))
     if value[0] <= 1e-13 * value[-1]:
         involved = [n for n, v in zip(model.free, vectors[:, 0], strict=True) if abs(v) > 0.1]
@@ -285,7 +286,7 @@ def _describe(problem: _Problem, prior: NormalKnowledge, fit: _Solution) -> Robu
     """Return the fit with its uncertainties and what decided each parameter."""
     rows, model = problem.rows, problem.model
     own = _inverse(fit.data + prior.precision, model)
-    by_shared = _by_shared(problem, fit, own)
+    by_shared = _by_shared(problem, fit)
     c = closure(fit.theta, rows.gaze, rows.z_mm)
     standardised = c.value / fit.sigma
     outlier = is_outlier(standardised, fit.scale)
@@ -330,14 +331,19 @@ At 0.75 the priors, of this parameter and of those tied to it, take a quarter of
 deviation that the data alone would give; at 0.25 three quarters."""
 
 
-def _by_shared(problem: _Problem, fit: _Solution, covariance: FloatArray) -> FloatArray:
-    """Return the change of the estimate per unit of each shared error, shape (p, k)."""
+def _by_shared(problem: _Problem, fit: _Solution) -> FloatArray:
+    """Return the change of the estimate per unit of each shared error, shape (p, k).
+
+    By the implicit function theorem on the weighted normal equations, with the weights that the
+    loss leaves each row.
+    """
     rows, model = problem.rows, problem.model
     if not rows.shared_names:
         return np.zeros((len(model.free), 0))
     c = closure(fit.theta, rows.gaze, rows.z_mm)
-    slope = c.by_theta[:, list(model.indices)] / fit.sigma[:, None]
-    push = np.einsum("nq,nqk->nk", c.by_observable, rows.shared) / fit.sigma[:, None]
-    pull = weight(c.value / fit.sigma, fit.scale) / (CORE * fit.scale) ** 2
-    change: FloatArray = -covariance @ (slope.T @ (pull[:, None] * push))
+    pull = np.sqrt(weight(c.value / fit.sigma, fit.scale)) / (CORE * fit.scale * fit.sigma)
+    slope = pull[:, None] * c.by_theta[:, list(model.indices)]
+    push = pull[:, None] * np.einsum("nq,nqk->nk", c.by_observable, rows.shared)
+    normal = _inverse(slope.T @ slope + problem.knowledge.precision, model)
+    change: FloatArray = -normal @ (slope.T @ push)
     return change

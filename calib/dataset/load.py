@@ -234,7 +234,7 @@ class _Loading:
                 )
             )
         elif alone:
-            self.warnings.append(f"[stereo]: {alone} images have no partner and are not used")
+            self.warnings.append(f"[stereo]: {alone} image(s) without a partner are not used")
         return MappingProxyType({stem: (first[stem], second[stem]) for stem in stems})
 
     def _by_stem(self, images: tuple[str, ...], *, where: str) -> dict[str, str]:
@@ -298,7 +298,7 @@ class _Loading:
                     problems += error.problems
         absent = len(named) - len(self.images) - len(problems)
         if absent:
-            self.warnings.append(f"{absent} images are absent; their corners are in the cache")
+            self.warnings.append(f"{absent} image(s) are absent; their corners are in the cache")
         self.problems += shortened(problems, where="images")
 
 

@@ -131,15 +131,8 @@ def scan_gaze(text: str, *, name: str, reference: bool = True) -> Scanned[GazeTa
         If the text is no table at all.
     """
     cells = read_cells(text, file=name, known=GAZE_COLUMNS, pattern=REFERENCE_COLUMN)
-    coordinate = ("x1c", "u1_px", "image_c1")
-    reading = ("alpha2_deg", "ctan_alpha2")
-    depth = ("z_mm", "stereo")
-    require_columns(cells, (("id",), coordinate, reading, *([depth] if reference else [])))
+    _check_sources(cells, reference=reference)
     ids = _ids(cells)
-    _one_of(cells, [("x1c", "y1c"), ("u1_px", "v1_px"), ("image_c1",)], needed=True)
-    _one_of(cells, [("alpha2_deg",), ("ctan_alpha2",)], needed=True)
-    _one_of(cells, [("u2_px",), ("image_c2",)], needed=False)
-    _one_of(cells, [("z_mm",), ("stereo",)], needed=reference)
     x1c, y1c = _pair(cells, "x1c", "y1c", alone=reference)
     u1_px, v1_px = _pair(cells, "u1_px", "v1_px", alone=False)
     check_normalised(cells, "x1c", x1c)
@@ -168,6 +161,18 @@ def scan_gaze(text: str, *, name: str, reference: bool = True) -> Scanned[GazeTa
         depth_row=_depth_rows(cells, ids),
     )
     return _scanned(cells, table)
+
+
+def _check_sources(cells: Cells, *, reference: bool) -> None:
+    """Report rows without exactly one source of the coordinate, the reading and the reference."""
+    coordinate = ("x1c", "u1_px", "image_c1")
+    reading = ("alpha2_deg", "ctan_alpha2")
+    depth = ("z_mm", "stereo")
+    require_columns(cells, (("id",), coordinate, reading, *([depth] if reference else [])))
+    _one_of(cells, [("x1c", "y1c"), ("u1_px", "v1_px"), ("image_c1",)], needed=True)
+    _one_of(cells, [("alpha2_deg",), ("ctan_alpha2",)], needed=True)
+    _one_of(cells, [("u2_px",), ("image_c2",)], needed=False)
+    _one_of(cells, [("z_mm",), ("stereo",)], needed=reference)
 
 
 def scan_sweep(text: str, *, name: str) -> Scanned[SweepTable]:

@@ -234,7 +234,7 @@ def test_cached_corners_stand_in_for_images(tmp_path: Path) -> None:
     assert dataset.images["c1"] == tuple(f"intrinsics/c1/{i}.png" for i in (0, 1, 2, 3, 4, 5, 7))
     assert "p2" in dataset.stereo_pairs
     assert set(dataset.corner_cache) == set(names)
-    assert dataset.warnings == ("5 images are absent; their corners are in the cache",)
+    assert dataset.warnings == ("5 image(s) are absent; their corners are in the cache",)
 
 
 def test_names_with_blanks_and_other_scripts(tmp_path: Path) -> None:
@@ -291,7 +291,7 @@ def test_targets_at_one_depth_are_a_warning(tmp_path: Path) -> None:
 def test_image_without_partner_is_a_warning(tmp_path: Path) -> None:
     folder = image_dataset(tmp_path)
     (folder / "stereo/c1/extra.png").write_bytes(PNG)
-    assert load_dataset(folder).warnings == ("[stereo]: 1 images have no partner and are not used",)
+    assert load_dataset(folder).warnings == ("[stereo]: 1 image(s) without a partner are not used",)
 
 
 def test_hundred_thousand_rows_in_bounded_time_and_memory() -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import h5py
 import numpy as np
@@ -13,6 +12,7 @@ from calib.arrays import FloatArray
 from calib.fit.posterior import Posterior
 from calib.fit.robust import RobustFit
 from calib.geometry.parameters import INDEX, PARAMETERS
+from calib.hdf5 import hdf5_bytes
 from calib.observations import Observations
 from calib.results import Calibration, GazeResult
 
@@ -39,9 +39,10 @@ class Entry:
     meaning: str
 
 
-def write_archive(calibration: Calibration, path: Path) -> None:
-    """Write results.h5 to `path`; the caller sees to it that the name is temporary."""
-    with h5py.File(path, "w") as file:
+def archive(calibration: Calibration) -> bytes:
+    """Return results.h5 of a calibration."""
+
+    def fill(file: h5py.File) -> None:
         file.attrs["format"] = 1
         file.attrs["dataset"] = calibration.name
         file.attrs["dataset_sha256"] = calibration.sha256
@@ -53,6 +54,8 @@ def write_archive(calibration: Calibration, path: Path) -> None:
             several = not isinstance(entry.units, str)
             dataset.attrs["units"] = list(entry.units) if several else entry.units
             dataset.attrs["meaning"] = entry.meaning
+
+    return hdf5_bytes(fill)
 
 
 def entries(calibration: Calibration) -> Iterator[Entry]:

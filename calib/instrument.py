@@ -11,9 +11,13 @@ from numpy.random import SeedSequence
 from calib.arrays import BoolArray, FloatArray, IntArray
 from calib.fit.posterior import Posterior
 from calib.fit.robust import RobustFit
-from calib.geometry.plane import OBSERVABLE, depth, gaze_at
+from calib.geometry.plane import OBSERVABLE, Gaze, depth, gaze_at
 from calib.observations import Observations
-from calib.observe import RowSettings, ValidationRows
+from calib.observe import (
+    Setup,
+    ValidationRows,
+    direction_by_common,
+)
 from calib.uncertainty.measurement import (
     Instrument,
     ParameterKnowledge,
@@ -47,46 +51,81 @@ class CalibratedInstrument:
         may be what is better than stated.
     calibrated_mm
         Least and greatest reference depth of the rows, shape (2,).
+    setup
+        The cameras, and the errors that all readings share with the calibration.
     """
 
     model: str
     instrument: Instrument
     noise_factor: float
     calibrated_mm: FloatArray
+    setup: Setup
+
+    def loadings(self, gaze: Gaze) -> FloatArray | None:
+        """Return what the shared errors do to readings, shape (n, 4, m); None without any."""
+        cameras, shared = self.setup.cameras, self.setup.shared
+        if not shared.names:
+            return None
+        loadings = np.zeros((len(gaze), OBSERVABLE.z, shared.factor.shape[1]))
+        if cameras.c1 is not None:
+            xy = np.stack([gaze.x1c, gaze.y1c], axis=1)
+            loadings[:, : OBSERVABLE.alpha2] = direction_by_common(xy, cameras.c1, shared)
+        if cameras.c2 is not None and self.instrument.reading.gaze_residual_rad.normal > 0:
+            # Near the centre column: the error of cx2 over fx2.
+            by_centre = shared.of_camera("c2", cameras.c2)[2]
+            loadings[:, OBSERVABLE.residual] = -by_centre / cameras.c2.matrix[0, 0]
+        return loadings
 
 
 def build_instrument(
-    posterior: Posterior, fit: RobustFit, rows: Observations, settings: RowSettings
+    posterior: Posterior, fit: RobustFit, rows: Observations, setup: Setup
 ) -> CalibratedInstrument:
     """Return the instrument of the selected model."""
-    factor = float(np.sqrt(np.mean(np.maximum(np.exp(2 * posterior.flat[:, -1]), 1.0))))
+    return instrument_from_draws(posterior.flat, fit, rows, setup)
+
+
+def instrument_from_draws(
+    draws: FloatArray, fit: RobustFit, rows: Observations, setup: Setup
+) -> CalibratedInstrument:
+    """Return the instrument that draws from a posterior describe.
+
+    Parameters
+    ----------
+    draws
+        Of equal weight, shared errors included: free parameters, then the logarithm of the noise
+        scale, shape (m, p + 1).
+    fit
+        The robust fit of the same model.
+    """
+    factor = float(np.sqrt(np.mean(np.maximum(np.exp(2 * draws[:, -1]), 1.0))))
     parameters = ParameterKnowledge(
         names=fit.names,
-        values=posterior.mean[:-1],
-        covariance=posterior.covariance[:-1, :-1],
+        values=draws[:, :-1].mean(axis=0),
+        covariance=np.cov(draws[:, :-1], rowvar=False),
         degrees_of_freedom=None,
         evaluation=tuple(_EVALUATION[who] for who in fit.identified_by),
-        draws=posterior.flat[:, :-1],
+        draws=draws[:, :-1],
     )
     direction = float(np.median(rows.std[:, OBSERVABLE.x1c]))
     across = float(np.median(rows.std[:, OBSERVABLE.y1c]))
     residual = float(np.median(rows.std[:, OBSERVABLE.residual]))
     # Where the gaze residual is measured, the motor's step is no error: see calib.observe.
-    step = 0.0 if residual > 0 else settings.encoder_step_rad
+    step = 0.0 if residual > 0 else setup.settings.encoder_step_rad
     reading = ReadingSpread(
         x1c=Spread(normal=factor * direction),
         y1c=Spread(normal=factor * across),
-        alpha2_rad=Spread(normal=factor * settings.u_alpha2_rad, width=factor * step),
+        alpha2_rad=Spread(normal=factor * setup.settings.u_alpha2_rad, width=factor * step),
         gaze_residual_rad=Spread(normal=factor * residual),
     )
-    shared = None
+    common = None
     if rows.shared_names:
-        shared = SharedErrors(names=rows.shared_names, with_parameters=fit.by_shared)
+        common = SharedErrors(names=rows.shared_names, with_parameters=fit.by_shared)
     return CalibratedInstrument(
-        model=posterior.model,
-        instrument=Instrument(parameters, reading, shared),
+        model=fit.model,
+        instrument=Instrument(parameters, reading, common),
         noise_factor=factor,
         calibrated_mm=np.array([rows.z_mm.min(), rows.z_mm.max()]),
+        setup=setup,
     )
 
 
@@ -125,7 +164,12 @@ def tabulate_depths(
     z = np.linspace(low_mm, high_mm, GRID_POINTS)
     points = np.stack([np.zeros_like(z), np.zeros_like(z), z], axis=1)
     gaze = gaze_at(calibrated.instrument.theta, points)
-    prediction = predict_depths(calibrated.instrument, gaze, np.random.default_rng(seed))
+    prediction = predict_depths(
+        calibrated.instrument,
+        gaze,
+        np.random.default_rng(seed),
+        loadings=calibrated.loadings(gaze),
+    )
     low, high = calibrated.calibrated_mm
     outside = (z < low) | (z > high)
     return DepthTable(z, prediction, outside, _factor95(prediction, ~outside))
@@ -240,3 +284,54 @@ def _agreement_with(
         rms_rel=float(np.sqrt(np.mean(known**2))) if len(known) else 0.0,
         mean_rel=float(np.mean(known)) if len(known) else 0.0,
     )
+
+
+def normalised_error(p: DepthPrediction, reference: ReferenceAgreement) -> FloatArray:
+    """Return E_n of each measured depth, shape (n,), NaN without reference.
+
+    The difference over the expanded uncertainty of the difference (ISO 13528, 9.7).
+    """
+    half = (p.high95_mm - p.low95_mm) / 2
+    difference = np.abs(reference.error_rel * reference.reference_mm)
+    score: FloatArray = difference / np.hypot(half, 2 * reference.std_mm)
+    return score
+
+
+@dataclass(frozen=True)
+class GroupSpread:
+    """How consistently each model measures the rows of one group, each by its own angle.
+
+    Parameters
+    ----------
+    group, count
+        Name, and number of rows.
+    depth_mm
+        Mean reference depth.
+    spread_mm
+        Standard deviation of depth by own angle less reference depth, by model.
+    """
+
+    group: str
+    count: int
+    depth_mm: float
+    spread_mm: Mapping[str, float]
+
+
+SPREAD_ROWS = 3
+"""Fewer rows of a group show no spread."""
+
+
+def spread_by_group(validation: ValidationResult) -> tuple[GroupSpread, ...]:
+    """Return the spread over each group of `SPREAD_ROWS` rows or more."""
+    found = []
+    for group in dict.fromkeys(validation.groups):
+        rows = np.array([g == group for g in validation.groups])
+        if rows.sum() < SPREAD_ROWS:
+            continue
+        reference = validation.reference_mm[rows]
+        spread = {
+            model: float(np.std(z[rows] - reference, ddof=1))
+            for model, z in validation.own_depth_mm.items()
+        }
+        found.append(GroupSpread(group, int(rows.sum()), float(reference.mean()), spread))
+    return tuple(found)

@@ -21,9 +21,15 @@ from calib.errors import InputError, Problem
 from calib.geometry.camera import Camera
 from calib.geometry.parameters import NAMES
 from calib.geometry.plane import OBSERVABLE
-from calib.observe import CameraSet, RowSettings, Shared, observe
+from calib.observe import CameraSet, RowSettings, Setup, Shared, observe
 from calib.results import FORMAT
-from calib.uncertainty.measurement import Instrument, ParameterKnowledge, ReadingSpread, Spread
+from calib.uncertainty.measurement import (
+    Instrument,
+    ParameterKnowledge,
+    ReadingSpread,
+    SharedErrors,
+    Spread,
+)
 from calib.uncertainty.predictive import linear_positions
 
 FILE_LIMIT_BYTES = 200_000_000
@@ -49,6 +55,12 @@ class _Reading(_Section):
     gaze_residual_rad: _Spread
 
 
+class _Shared(_Section):
+    names: tuple[str, ...]
+    factor: tuple[tuple[float, ...], ...]
+    with_parameters: tuple[tuple[float, ...], ...]
+
+
 class _Measurement(_Section):
     model: str
     names: tuple[str, ...]
@@ -57,6 +69,7 @@ class _Measurement(_Section):
     reading: _Reading
     calibrated_depth_mm: tuple[float, float]
     factor95: float
+    shared: _Shared | None = None
 
 
 class _Camera(_Section):
@@ -82,8 +95,8 @@ class Measuring:
     ----------
     instrument
         Parameters, their covariance and the errors of a reading.
-    cameras
-        For readings in pixels.
+    setup
+        Cameras for readings in pixels, and the errors that readings share with the calibration.
     calibrated_mm
         Depths that the calibration covers.
     factor95
@@ -91,7 +104,7 @@ class Measuring:
     """
 
     instrument: Instrument
-    cameras: CameraSet
+    setup: Setup
     calibrated_mm: tuple[float, float]
     factor95: float
 
@@ -143,12 +156,27 @@ def read_calibration(path: Path) -> Measuring:
         gaze_residual_rad=m.reading.gaze_residual_rad.spread(),
     )
     cameras = {name: camera.camera() for name, camera in file.intrinsics.items()}
+    settings = RowSettings(m.reading.x1c.normal, 0.0, 0.0, m.reading.alpha2_rad.width, 0.0)
+    shared, common = _shared(path, m)
     return Measuring(
-        instrument=Instrument(parameters, reading),
-        cameras=CameraSet(cameras.get("c1"), cameras.get("c2")),
+        instrument=Instrument(parameters, reading, common),
+        setup=Setup(settings, CameraSet(cameras.get("c1"), cameras.get("c2")), shared),
         calibrated_mm=m.calibrated_depth_mm,
         factor95=m.factor95,
     )
+
+
+def _shared(path: Path, m: _Measurement) -> tuple[Shared, SharedErrors | None]:
+    """Return the errors that readings share with the calibration."""
+    if m.shared is None:
+        return Shared(), None
+    shared = Shared(m.shared.names, np.array(m.shared.factor))
+    with_parameters = np.array(m.shared.with_parameters)
+    fits = shared.factor.shape[:1] == (len(shared.names),) and shared.factor.ndim == 2
+    if not fits or with_parameters.shape != (len(m.names), shared.factor.shape[1]):
+        remedy = "the file is damaged; calibrate again"
+        raise _bad(path, "measurement.shared: the arrays do not belong together", remedy)
+    return shared, SharedErrors(shared.error_names, with_parameters)
 
 
 def _bad(path: Path, what: str, remedy: str) -> InputError:
@@ -255,9 +283,9 @@ def measure(measuring: Measuring, table: GazeTable) -> Measured:
     """
     _refuse_unseen(measuring, table)
     spread = measuring.instrument.reading
-    settings = RowSettings(spread.x1c.normal, 0.0, 0.0, spread.alpha2_rad.width, 0.0)
-    rows = observe(table, settings, measuring.cameras, Shared(), None)
-    linear = linear_positions(measuring.instrument, rows.gaze)
+    rows = observe(table, measuring.setup, None)
+    loadings = rows.shared[:, : OBSERVABLE.z] if rows.shared_names else None
+    linear = linear_positions(measuring.instrument, rows.gaze, loadings)
     _refuse_unreachable(table, linear.position_mm[:, 2])
     place = {name: i for i, name in enumerate(table.ids)}
     depth_of = tuple(i if d is None else place[d] for i, d in enumerate(table.depth_row))
@@ -294,7 +322,7 @@ def measure(measuring: Measuring, table: GazeTable) -> Measured:
 def _refuse_unseen(measuring: Measuring, table: GazeTable) -> None:
     wants = {"c1": np.isfinite(table.u1_px), "c2": np.isfinite(table.u2_px)}
     for name, rows in wants.items():
-        if rows.any() and getattr(measuring.cameras, name) is None:
+        if rows.any() and getattr(measuring.setup.cameras, name) is None:
             i = int(np.flatnonzero(rows)[0])
             raise InputError.single(
                 where=f"{table.file}, line {table.line[i]} (id {table.ids[i]})",

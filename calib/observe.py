@@ -11,7 +11,13 @@ from calib.arrays import FloatArray, IntArray
 from calib.dataset.contents import Dataset
 from calib.dataset.tables import GazeTable
 from calib.errors import EstimationError, InputError, Problem
-from calib.geometry.camera import Camera, normalise, normalise_jacobian
+from calib.geometry.camera import (
+    Camera,
+    intrinsic_names,
+    normalise,
+    normalise_jacobian,
+    project,
+)
 from calib.geometry.plane import OBSERVABLE
 from calib.observations import Observations
 
@@ -29,27 +35,44 @@ class Shared:
     Parameters
     ----------
     names
-        Of the estimated quantities, e.g. ``c1 fx``; q of them.
-    covariance
-        Shape (q, q), units of the quantities.
+        Of the estimated quantities, e.g. ``c1.fx``; q of them.
+    factor
+        Shape (q, k): the errors of the quantities are ``factor @ common`` with k independent
+        standard-normal errors.
     """
 
     names: tuple[str, ...] = ()
-    covariance: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    factor: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
 
-    def factor(self) -> FloatArray:
-        """Return F, shape (q, k), with F F^T the covariance: k standard-normal errors."""
-        if not self.names:
-            return np.zeros((0, 0))
-        unit = np.sqrt(np.maximum(np.diag(self.covariance), 1e-300))
-        value, vector = np.linalg.eigh(self.covariance / np.outer(unit, unit))
-        keep = value > 1e-12 * max(value[-1], 1e-300)
-        factor: FloatArray = unit[:, None] * vector[:, keep] * np.sqrt(value[keep])
-        return factor
+    @classmethod
+    def of(cls, names: tuple[str, ...], covariance: FloatArray) -> Shared:
+        """Return the shared errors of quantities with a covariance, shape (q, q).
 
-    def place(self, prefix: str) -> IntArray:
-        """Return the places of the quantities whose names start with `prefix`."""
-        return np.array([i for i, n in enumerate(self.names) if n.startswith(prefix)], dtype=int)
+        Quantities without uncertainty are left out, directions without any too.
+        """
+        uncertain = np.diag(covariance) > 0
+        kept = covariance[np.ix_(uncertain, uncertain)]
+        if not len(kept):
+            return cls()
+        unit = np.sqrt(np.diag(kept))
+        value, vector = np.linalg.eigh(kept / np.outer(unit, unit))
+        some = value > 1e-12 * value[-1]
+        factor = unit[:, None] * vector[:, some] * np.sqrt(value[some])
+        return cls(tuple(n for n, u in zip(names, uncertain, strict=True) if u), factor)
+
+    @property
+    def error_names(self) -> tuple[str, ...]:
+        """Names of the k standard-normal errors."""
+        return tuple(f"shared {i + 1}" for i in range(self.factor.shape[1]))
+
+    def of_camera(self, prefix: str, camera: Camera) -> FloatArray:
+        """Return the factor's rows of a camera's intrinsics, shape (4 + k, common); 0 if known."""
+        names = [f"{prefix}.{name}" for name in intrinsic_names(camera)]
+        rows = np.zeros((len(names), self.factor.shape[1]))
+        for i, name in enumerate(names):
+            if name in self.names:
+                rows[i] = self.factor[self.names.index(name)]
+        return rows
 
 
 @dataclass(frozen=True)
@@ -58,25 +81,23 @@ class Sightings:
 
     Parameters
     ----------
-    pixel_c1
-        The target in C1, px, shape (n, 2).
-    u_pixel
-        Standard uncertainty of a pixel coordinate, px.
-    u2_px, v2_px
-        The target in C2 at the reading, px, shape (n,).
+    pixel_c1, pixel_c2
+        The target in C1, and in C2 at the reading, px, shape (n, 2).
+    u_c1_px, u_c2_px
+        Standard uncertainty of a pixel coordinate of each camera, px.
     z_mm, u_z_mm
         Reference depth by stereo and the part of its uncertainty that is the row's own, (n,).
-    z_by_shared
-        Derivative of the reference depth by the shared quantities, shape (n, q).
+    z_by_common
+        Derivative of the reference depth by the shared standard-normal errors, shape (n, k).
     """
 
     pixel_c1: FloatArray
-    u_pixel: float
-    u2_px: FloatArray
-    v2_px: FloatArray
+    pixel_c2: FloatArray
+    u_c1_px: float
+    u_c2_px: float
     z_mm: FloatArray
     u_z_mm: FloatArray
-    z_by_shared: FloatArray
+    z_by_common: FloatArray
 
 
 @dataclass(frozen=True)
@@ -121,6 +142,20 @@ class CameraSet:
 
 
 @dataclass(frozen=True)
+class Setup:
+    """What holds for all rows: settings, cameras and the errors that the rows share."""
+
+    settings: RowSettings
+    cameras: CameraSet = field(default_factory=CameraSet)
+    shared: Shared = field(default_factory=Shared)
+
+
+def set_up(settings: RowSettings, cameras: CameraSet, shared: Shared) -> Setup:
+    """Return what holds for all rows, as one input of later stages."""
+    return Setup(settings, cameras, shared)
+
+
+@dataclass(frozen=True)
 class ValidationRows:
     """Rows that were never used to fit, with their references.
 
@@ -139,13 +174,7 @@ class ValidationRows:
     references: Mapping[str, FloatArray]
 
 
-def observe(
-    table: GazeTable,
-    settings: RowSettings,
-    cameras: CameraSet,
-    shared: Shared,
-    sightings: Sightings | None,
-) -> Observations:
+def observe(table: GazeTable, setup: Setup, sightings: Sightings | None) -> Observations:
     """Return the rows of a table with their covariance.
 
     Raises
@@ -153,8 +182,9 @@ def observe(
     InputError
         If a pixel of the table lies where the lens model has no ray.
     """
-    seen = _no_sightings(len(table), len(shared.names)) if sightings is None else sightings
-    source = _Source(table, settings, cameras, shared, seen)
+    settings, shared = setup.settings, setup.shared
+    seen = _no_sightings(len(table), shared.factor.shape[1]) if sightings is None else sightings
+    source = _Source(table, settings, setup.cameras, shared, seen)
     ray, residual, depth = source.direction(), source.gaze_residual(), source.depth()
     # A motor rests on whole counts. Where C2's image tells how far the target then is from the
     # centre column, that is measured and no longer an error.
@@ -164,11 +194,10 @@ def observe(
     std[:, OBSERVABLE.alpha2] = np.hypot(step, settings.u_alpha2_rad)
     std[:, OBSERVABLE.residual] = residual.std
     std[:, OBSERVABLE.z] = depth.std
-    by_shared = np.zeros((len(table), len(OBSERVABLE), len(shared.names)))
-    by_shared[:, : OBSERVABLE.alpha2] = ray.by_shared
-    by_shared[:, OBSERVABLE.residual] = residual.by_shared
-    by_shared[:, OBSERVABLE.z] = depth.by_shared
-    factor = shared.factor()
+    by_common = np.zeros((len(table), len(OBSERVABLE), shared.factor.shape[1]))
+    by_common[:, : OBSERVABLE.alpha2] = ray.by_common
+    by_common[:, OBSERVABLE.residual] = residual.by_common
+    by_common[:, OBSERVABLE.z] = depth.by_common
     x, y = ray.value.T
     return Observations(
         ids=table.ids,
@@ -180,48 +209,44 @@ def observe(
         z_mm=depth.value,
         std=std,
         has_height=bool(np.isfinite(y).all()),
-        shared=by_shared @ factor if factor.size else np.zeros((0, 0, 0)),
-        shared_names=tuple(f"shared {i + 1}" for i in range(factor.shape[1])),
+        shared=by_common if shared.names else np.zeros((0, 0, 0)),
+        shared_names=shared.error_names,
     )
 
 
 def observe_validation(
-    table: GazeTable,
-    settings: RowSettings,
-    cameras: CameraSet,
-    shared: Shared,
-    sightings: Sightings | None,
+    table: GazeTable, setup: Setup, sightings: Sightings | None
 ) -> ValidationRows:
     """Return validation rows: as `observe`, with whose depth each uses and further references."""
     place = {name: i for i, name in enumerate(table.ids)}
     depth_of = [i if d is None else place[d] for i, d in enumerate(table.depth_row)]
     return ValidationRows(
-        rows=observe(table, settings, cameras, shared, sightings),
+        rows=observe(table, setup, sightings),
         depth_of=np.array(depth_of, dtype=np.int64),
         references=dict(table.references),
     )
 
 
-def _no_sightings(n: int, q: int) -> Sightings:
-    nothing = np.full(n, np.nan)
+def _no_sightings(n: int, k: int) -> Sightings:
+    nothing, nowhere = np.full(n, np.nan), np.full((n, 2), np.nan)
     return Sightings(
-        pixel_c1=np.full((n, 2), np.nan),
-        u_pixel=U_PIXEL,
-        u2_px=nothing,
-        v2_px=nothing,
+        pixel_c1=nowhere,
+        pixel_c2=nowhere,
+        u_c1_px=U_PIXEL,
+        u_c2_px=U_PIXEL,
         z_mm=nothing,
         u_z_mm=nothing,
-        z_by_shared=np.zeros((n, q)),
+        z_by_common=np.zeros((n, k)),
     )
 
 
 @dataclass(frozen=True)
 class _Part:
-    """Some quantities of all rows: value and std of shape (n, ...), by_shared (n, ..., q)."""
+    """Some quantities of all rows: value and std of shape (n, ...), by_common (n, ..., k)."""
 
     value: FloatArray
     std: FloatArray
-    by_shared: FloatArray
+    by_common: FloatArray
 
 
 @dataclass(frozen=True)
@@ -242,44 +267,42 @@ class _Source:
         table, camera = self.table, self.cameras.c1
         value = np.stack([table.x1c, table.y1c], axis=1)
         std = self._zeros(2) + self.settings.u_x1c
-        by_shared = self._zeros(2, len(self.shared.names))
+        if camera is None:
+            return _Part(value, std, self._zeros(2, self.shared.factor.shape[1]))
         from_image = np.isfinite(self.seen.pixel_c1[:, 0])
         pixels = np.stack([table.u1_px, table.v1_px], axis=1)
         pixels = np.where(from_image[:, None], self.seen.pixel_c1, pixels)
         rows = np.flatnonzero(np.isfinite(pixels).all(axis=1))
-        if camera is None or not len(rows):
-            return _Part(value, std, by_shared)
-        _refuse_folded(table, camera, pixels)
-        ray = normalise_jacobian(camera, pixels[rows])
-        value[rows] = ray.xy
-        u = np.where(from_image, self.seen.u_pixel, U_PIXEL)[rows]
-        std[rows] = u[:, None] * np.sqrt((ray.by_pixel**2).sum(axis=2))
-        place = self.shared.place("c1 ")
-        if len(place):
-            by_shared[rows[:, None], :, place] = ray.by_intrinsics.transpose(0, 2, 1)
-        return _Part(value, std, by_shared)
+        if len(rows):
+            _refuse_folded(table, camera, pixels)
+            ray = normalise_jacobian(camera, pixels[rows])
+            value[rows] = ray.xy
+            u = np.where(from_image, self.seen.u_c1_px, U_PIXEL)[rows]
+            std[rows] = u[:, None] * np.sqrt((ray.by_pixel**2).sum(axis=2))
+        return _Part(value, std, direction_by_common(value, camera, self.shared))
 
     def gaze_residual(self) -> _Part:
         """Return the angle from C2's centre column to the target, rad; 0 where not measured."""
         camera = self.cameras.c2
         value, std = self._zeros(), self._zeros()
-        by_shared = self._zeros(len(self.shared.names))
-        from_image = np.isfinite(self.seen.u2_px)
-        u2 = np.where(from_image, self.seen.u2_px, self.table.u2_px)
-        rows = np.flatnonzero(np.isfinite(u2))
-        if camera is None or not len(rows):
-            return _Part(value, std, by_shared)
+        by_common = self._zeros(self.shared.factor.shape[1])
+        from_image = np.isfinite(self.seen.pixel_c2[:, 0])
+        if camera is None:
+            return _Part(value, std, by_common)
         # A table gives the column alone; near the centre column the row hardly matters.
-        v2 = np.where(from_image, self.seen.v2_px, camera.matrix[1, 2])
-        ray = normalise_jacobian(camera, np.stack([u2, v2], axis=1)[rows])
-        slope = 1 / (1 + ray.xy[:, 0] ** 2)
-        u = np.where(from_image, self.seen.u_pixel, U_PIXEL)[rows]
-        value[rows] = np.arctan(ray.xy[:, 0])
-        std[rows] = u * slope * np.sqrt((ray.by_pixel[:, 0] ** 2).sum(axis=1))
-        place = self.shared.place("c2 ")
-        if len(place):
-            by_shared[rows[:, None], place] = slope[:, None] * ray.by_intrinsics[:, 0]
-        return _Part(value, std, by_shared)
+        row = np.full(len(self.table), camera.matrix[1, 2])
+        pixels = np.stack([self.table.u2_px, row], axis=1)
+        pixels = np.where(from_image[:, None], self.seen.pixel_c2, pixels)
+        rows = np.flatnonzero(np.isfinite(pixels[:, 0]))
+        if len(rows):
+            ray = normalise_jacobian(camera, pixels[rows])
+            slope = 1 / (1 + ray.xy[:, 0] ** 2)
+            u = np.where(from_image, self.seen.u_c2_px, U_PIXEL)[rows]
+            value[rows] = np.arctan(ray.xy[:, 0])
+            std[rows] = u * slope * np.sqrt((ray.by_pixel[:, 0] ** 2).sum(axis=1))
+            by_intrinsics = slope[:, None] * ray.by_intrinsics[:, 0]
+            by_common[rows] = by_intrinsics @ self.shared.of_camera("c2", camera)
+        return _Part(value, std, by_common)
 
     def depth(self) -> _Part:
         """Return the reference depths, mm."""
@@ -289,7 +312,24 @@ class _Source:
         default = np.hypot(settings.u_z_mm, settings.u_z_rel * z)
         stated = np.where(np.isfinite(table.u_z_mm), table.u_z_mm, default)
         std = np.where(known, stated, seen.u_z_mm)
-        return _Part(z, std, np.where(known[:, None], 0.0, seen.z_by_shared))
+        return _Part(z, std, np.where(known[:, None], 0.0, seen.z_by_common))
+
+
+def direction_by_common(xy: FloatArray, camera: Camera, shared: Shared) -> FloatArray:
+    """Return what the shared errors of C1's intrinsics do to directions, shape (n, 2, k).
+
+    Parameters
+    ----------
+    xy
+        Normalised coordinates, shape (n, 2); where y is NaN it is taken as 0.
+    """
+    factor = shared.of_camera("c1", camera)
+    by_common = np.zeros((len(xy), 2, factor.shape[1]))
+    if not np.any(factor):
+        return by_common
+    ray = normalise_jacobian(camera, project(camera, np.nan_to_num(xy)))
+    by_common[:] = ray.by_intrinsics @ factor
+    return by_common
 
 
 def _refuse_folded(table: GazeTable, camera: Camera, pixels: FloatArray) -> None:

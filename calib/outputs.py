@@ -7,11 +7,11 @@ from typing import Any
 
 import tomli_w
 
-from calib.archive import write_archive
+from calib.archive import archive
 from calib.ledger import LEDGER, ledger_text
 from calib.provenance import Provenance, provenance
 from calib.results import Calibration, to_json
-from calib.store import Store, replacing, write_bytes
+from calib.store import Store, write_bytes
 
 
 def write_outputs(
@@ -29,8 +29,7 @@ def write_outputs(
     made = provenance(command=command, durations_s=store.durations)
     store.announce("report")
     write_bytes(out / "calibration.json", to_json(calibration).encode())
-    with replacing(out / "results.h5") as temporary:
-        write_archive(calibration, temporary)
+    write_bytes(out / "results.h5", archive(calibration))
     run = tomli_w.dumps(_run(calibration, made))
     write_bytes(out / "run.toml", run.encode())
     names = ("calibration.json", "results.h5", "run.toml")

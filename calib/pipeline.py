@@ -14,13 +14,20 @@ from calib.fit.posterior import Posterior
 from calib.fit.priors import Priors
 from calib.fit.robust import RobustFit
 from calib.geometry.parameters import MODELS
+from calib.image_chain import ImageStages, image_stages, sightings
 from calib.ledger import run_fingerprint
 from calib.observations import Observations
-from calib.observe import CameraSet, RowSettings, Shared, row_settings, validation_settings
+from calib.observe import (
+    RowSettings,
+    Setup,
+    ValidationRows,
+    row_settings,
+    validation_settings,
+)
 from calib.outputs import write_outputs
 from calib.results import Calibration, GazeResult
 from calib.store import Staged, Store, given
-from calib.verdict import gaze_gates, gaze_warnings
+from calib.verdict import all_gates, all_warnings
 
 
 @dataclass(frozen=True)
@@ -68,50 +75,67 @@ def calibrate(
     fingerprint = run_fingerprint(dataset.sha256, vars(options))
     store = Store(out, announce, progress)
     with store.locked():
-        gaze = None if dataset.gaze is None else _gaze_chain(dataset, dataset.gaze, options, store)
+        images = image_stages(dataset, store, options.seed)
+        failures = images.failures()
+        gaze = None
+        if dataset.gaze is not None:
+            rows = _rows(dataset, dataset.gaze, store, images)
+            if rows.failed is not None:
+                failures["gaze rows"] = rows.failed
+            else:
+                gaze = _gaze_chain(dataset, options, store, images, rows)
+        result = images.result()
         calibration = Calibration(
             name=dataset.manifest.name,
             title=dataset.manifest.title,
             sha256=dataset.sha256,
             seed=options.seed,
             cameras=dataset.cameras,
+            images=result,
             gaze=gaze,
-            gates=() if gaze is None else gaze_gates(gaze),
-            warnings=(*dataset.warnings, *(() if gaze is None else gaze_warnings(gaze))),
+            gates=all_gates(result, gaze, failures),
+            warnings=(*dataset.warnings, *all_warnings(result, gaze)),
         )
         written = write_outputs(calibration, store, fingerprint=fingerprint, command=command)
     return Run(calibration, tuple(store.durations), tuple(store.reused), written)
 
 
-@dataclass(frozen=True)
-class _Given:
-    """What the manifest says, as inputs of stages."""
-
-    settings: Staged[RowSettings]
-    cameras: Staged[CameraSet]
-    shared: Staged[Shared]
-    priors: Staged[Priors]
+def _setup(store: Store, images: ImageStages, name: str, settings: RowSettings) -> Staged[Setup]:
+    """Return what holds for all rows of a table."""
+    return store.stage(
+        f"setup {name}", "calib.observe:set_up",
+        given("settings", settings), images.cameras, images.shared,
+    )  # fmt: skip
 
 
-def _gaze_chain(dataset: Dataset, table: GazeTable, options: Options, store: Store) -> GazeResult:
+def _rows(
+    dataset: Dataset, table: GazeTable, store: Store, images: ImageStages
+) -> Staged[Observations]:
+    """Return the calibration rows with their covariance."""
+    setup = _setup(store, images, "gaze", row_settings(dataset))
+    seen = sightings(dataset, table, store, images)
+    return store.stage("observations", "calib.observe:observe", given("gaze", table), setup, seen)
+
+
+def _gaze_chain(
+    dataset: Dataset,
+    options: Options,
+    store: Store,
+    images: ImageStages,
+    rows: Staged[Observations],
+) -> GazeResult:
     """From gaze rows to the calibrated instrument and what it measures."""
     stage = store.stage
-    known = _Given(
-        settings=given("settings", row_settings(dataset)),
-        cameras=given("cameras", CameraSet(dataset.cameras.get("c1"), dataset.cameras.get("c2"))),
-        shared=given("shared errors", Shared()),
-        priors=given("priors", Priors(dict(dataset.manifest.priors))),
-    )
+    stated = {name: (prior.mean, prior.std) for name, prior in dataset.manifest.priors.items()}
+    priors = given("priors", Priors(stated, images.measured()))
     # fmt: off
-    rows = stage("observations", "calib.observe:observe",
-                 given("gaze", table), known.settings, known.cameras, known.shared, None)
     sense = stage("sense", "calib.fit.sense:check_sense", rows)
     linear = stage("base/linear", "calib.fit.linear:fit_linear", rows)
     convex = stage("base/convex", "calib.fit.convex:fit_convex", rows)
     robust = {model: stage(f"{model}/robust", "calib.fit.robust:fit_model",
-                           rows, known.priors, model=model) for model in MODELS}
+                           rows, priors, model=model) for model in MODELS}
     posterior = {model: stage(f"{model}/posterior", "calib.fit.posterior:sample_posterior",
-                              rows, fit, known.priors, seed=options.seed)
+                              rows, fit, priors, seed=options.seed)
                  for model, fit in robust.items() if fit.failed is None}
     # fmt: on
     every = {"base/linear": linear, "base/convex": convex}
@@ -130,37 +154,42 @@ def _gaze_chain(dataset: Dataset, table: GazeTable, options: Options, store: Sto
         return result
     fits = {name: robust[name] for name in result.posterior}
     chains = {name: posterior[name] for name in result.posterior}
-    return _measure(dataset, options, store, _Fitted(known, rows, fits, chains), result)
+    fitted = _Fitted(rows, priors, fits, chains)
+    return _measure(dataset, options, store, images, fitted, result)
 
 
 @dataclass(frozen=True)
 class _Fitted:
     """Rows and fits as inputs of stages; the models in both mappings are the same."""
 
-    known: _Given
     rows: Staged[Observations]
+    priors: Staged[Priors]
     robust: Mapping[str, Staged[RobustFit]]
     posterior: Mapping[str, Staged[Posterior]]
 
 
 def _measure(
-    dataset: Dataset, options: Options, store: Store, fitted: _Fitted, result: GazeResult
+    dataset: Dataset,
+    options: Options,
+    store: Store,
+    images: ImageStages,
+    fitted: _Fitted,
+    result: GazeResult,
 ) -> GazeResult:
     """Select a model and find what the instrument then measures."""
-    stage, seed, known, rows = store.stage, options.seed, fitted.known, fitted.rows
-    low, high = options.depths_mm or _depth_range(dataset, rows.value)
+    stage, seed, rows, priors = store.stage, options.seed, fitted.rows, fitted.priors
+    validation = _validation(dataset, store, images)
+    references = rows.value.z_mm
+    if validation is not None:
+        references = np.append(references, validation.value.rows.z_mm)
+    low, high = options.depths_mm or (float(references.min()), float(references.max()))
+    setup = _setup(store, images, "gaze", row_settings(dataset))
     # fmt: off
-    validation = None
-    if dataset.validation is not None:
-        validation = stage("validation rows", "calib.observe:observe_validation",
-                           given("validation", dataset.validation),
-                           given("validation settings", validation_settings(dataset)),
-                           known.cameras, known.shared, None)
     comparison = stage("comparison", "calib.fit.compare:compare_models",
-                       rows, fitted.robust, fitted.posterior, known.priors, validation, seed=seed)
+                       rows, fitted.robust, fitted.posterior, priors, validation, seed=seed)
     selected = comparison.value.selected
     calibrated = stage("instrument", "calib.instrument:build_instrument",
-                       fitted.posterior[selected], fitted.robust[selected], rows, known.settings)
+                       fitted.posterior[selected], fitted.robust[selected], rows, setup)
     depths = stage("depths", "calib.instrument:tabulate_depths",
                    calibrated, low_mm=low, high_mm=high, seed=seed)
     measured = None
@@ -177,10 +206,17 @@ def _measure(
     )
 
 
-def _depth_range(dataset: Dataset, rows: Observations) -> tuple[float, float]:
-    """Return the least and greatest reference depth of calibration and validation rows, mm."""
-    depths = [rows.z_mm]
-    if dataset.validation is not None:
-        depths.append(dataset.validation.z_mm)
-    every = np.concatenate(depths)
-    return float(np.nanmin(every)), float(np.nanmax(every))
+def _validation(
+    dataset: Dataset, store: Store, images: ImageStages
+) -> Staged[ValidationRows] | None:
+    """Return the validation rows; None without any, or where their images give nothing."""
+    table = dataset.validation
+    if table is None:
+        return None
+    setup = _setup(store, images, "validation", validation_settings(dataset))
+    seen = sightings(dataset, table, store, images)
+    rows: Staged[ValidationRows] = store.stage(
+        "validation rows", "calib.observe:observe_validation",
+        given("validation", table), setup, seen,
+    )  # fmt: skip
+    return rows if rows.failed is None else None

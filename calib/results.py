@@ -19,8 +19,10 @@ from calib.fit.posterior import Posterior
 from calib.fit.robust import RobustFit
 from calib.gates import Gate
 from calib.geometry.camera import Camera
+from calib.images.result import ImageResult
 from calib.instrument import CalibratedInstrument, DepthTable, ValidationResult
 from calib.observations import Observations
+from calib.results_images import images_document
 from calib.uncertainty.measurement import Instrument, Spread
 from calib.uncertainty.montecarlo import NORMAL_FACTOR
 
@@ -76,7 +78,9 @@ class Calibration:
     seed
         Of all random numbers.
     cameras
-        Given or calibrated, by "c1" and "c2".
+        Given ones, by "c1" and "c2".
+    images
+        What the images gave.
     gaze
         None without gaze rows.
     gates
@@ -90,6 +94,7 @@ class Calibration:
     sha256: str
     seed: int
     cameras: Mapping[str, Camera]
+    images: ImageResult
     gaze: GazeResult | None
     gates: tuple[Gate, ...]
     warnings: tuple[str, ...]
@@ -113,8 +118,7 @@ def _document(c: Calibration) -> dict[str, Any]:
         "dataset": {"name": c.name, "sha256": c.sha256},
         "seed": c.seed,
     }
-    if c.cameras:
-        document["intrinsics"] = {name: _camera(camera) for name, camera in c.cameras.items()}
+    document |= images_document(c.cameras, c.images)
     if c.gaze is not None:
         document |= _gaze(c.gaze)
     document["gates"] = [vars(gate) for gate in c.gates]
@@ -141,16 +145,6 @@ def _clean(value: Any) -> Any:
     if isinstance(value, float):
         return float(f"{value:.{DIGITS}g}") if math.isfinite(value) else None
     return value
-
-
-def _camera(camera: Camera) -> dict[str, Any]:
-    return {
-        "source": "given",
-        "lens_model": f"OPENCV{len(camera.distortion)}",
-        "matrix": camera.matrix,
-        "distortion": camera.distortion,
-        "image_size": list(camera.image_size),
-    }
 
 
 def _gaze(g: GazeResult) -> dict[str, Any]:
@@ -338,6 +332,19 @@ def _measurement(c: CalibratedInstrument) -> dict[str, Any]:
             "gaze_residual_rad": _spread(reading.gaze_residual_rad),
         },
         "calibrated_depth_mm": c.calibrated_mm,
+        "shared": _shared(c),
+    }
+
+
+def _shared(c: CalibratedInstrument) -> dict[str, Any] | None:
+    """Return the errors that readings share with the calibration, None without any."""
+    if c.instrument.shared is None:
+        return None
+    shared = c.setup.shared
+    return {
+        "names": list(shared.names),
+        "factor": shared.factor,
+        "with_parameters": c.instrument.shared.with_parameters,
     }
 
 

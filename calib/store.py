@@ -24,14 +24,30 @@ from pathlib import Path
 from typing import Any, Generic, TypeAlias, TypeVar
 
 import h5py
+import numpy as np
+from cattrs.errors import BaseValidationError, ForbiddenExtraKeysError
 from numpy.random import SeedSequence
 
 from calib.codec import put_together, take_apart
 from calib.errors import CalibError, EstimationError, UsageError
 from calib.fingerprint import code_fingerprint, digest
+from calib.hdf5 import hdf5_arrays, hdf5_bytes
 
 CACHE = ".stages"
 LOCK = ".lock"
+DOCUMENT = "document"
+PARTIAL = ".part"
+
+_UNREADABLE = (
+    OSError,
+    LookupError,
+    ValueError,
+    TypeError,
+    AttributeError,
+    RecursionError,
+    BaseValidationError,
+    ForbiddenExtraKeysError,
+)
 
 T = TypeVar("T")
 
@@ -46,7 +62,7 @@ def replacing(path: Path) -> Iterator[Path]:
         If the file cannot be written: no space, no permission.
     """
     try:
-        handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".part", dir=path.parent)
+        handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=PARTIAL, dir=path.parent)
         os.close(handle)
     except OSError as error:
         raise _cannot_write(path, error) from error
@@ -193,7 +209,14 @@ class Store:
                 raise UsageError(
                     f"{self.out}: another run is writing there; wait for it or choose another --out"
                 ) from None
+            self._clear_away()
             yield
+
+    def _clear_away(self) -> None:
+        """Delete what runs that were killed left half-written."""
+        for folder in (self.out, self.out / CACHE):
+            for left in folder.glob(f".*{PARTIAL}"):
+                left.unlink(missing_ok=True)
 
     def stage(self, name: str, target: str, *inputs: Input, **settings: Any) -> Staged[Any]:
         """Return the outcome of a stage, computed now or reused.
@@ -220,7 +243,7 @@ class Store:
             settings,
         )
         path = self.out / CACHE / (name.replace("/", "--") + ".h5")
-        if _fingerprint_of(path) == fingerprint:
+        if _is_intact(path, fingerprint):
             self.reused.append(name)
             return Staged(name, fingerprint, lambda: _read(path, _result_type(target)))
         self.announce(name)
@@ -254,31 +277,43 @@ def _result_type(target: str) -> Any:
     return typing.get_type_hints(_function(target))["return"]
 
 
-def _fingerprint_of(path: Path) -> str | None:
-    """Return the fingerprint a stage file carries, None if there is none or it cannot be read."""
+SEAL_BYTES = 512
+"""Before the HDF5 part of a stage file stands its seal; HDF5 allows for 512 bytes."""
+
+_SEAL = "calib stage 1\n{fingerprint}\n{sha256}\n"
+
+
+def _seal(fingerprint: str, content: bytes) -> bytes:
+    text = _SEAL.format(fingerprint=fingerprint, sha256=sha256(content).hexdigest())
+    return text.encode().ljust(SEAL_BYTES, b"\0")
+
+
+def _is_intact(path: Path, fingerprint: str) -> bool:
+    """Return whether a stage file is there, has this fingerprint and is as it was written."""
     try:
-        with h5py.File(path, "r") as file:
-            return str(file.attrs["fingerprint"])
-    except (OSError, KeyError):
-        return None
+        content = path.read_bytes()
+    except OSError:
+        return False
+    return content[:SEAL_BYTES] == _seal(fingerprint, content[SEAL_BYTES:])
 
 
 def _write(path: Path, fingerprint: str, outcome: Any) -> None:
     document, arrays = take_apart(outcome)
-    with replacing(path) as temporary, h5py.File(temporary, "w") as file:
+    text = json.dumps([isinstance(outcome, Failure), document], ensure_ascii=False).encode()
+
+    def fill(file: h5py.File) -> None:
         for key, array in arrays.items():
             file.create_dataset(key, data=array)
-        file.attrs["failed"] = isinstance(outcome, Failure)
-        file.create_dataset("document", data=json.dumps(document, ensure_ascii=False))
-        file.attrs["fingerprint"] = fingerprint
+        file.create_dataset(DOCUMENT, data=np.frombuffer(text, np.uint8))
+
+    content = hdf5_bytes(fill)
+    write_bytes(path, _seal(fingerprint, content) + content)
 
 
 def _read(path: Path, kind: Any) -> Any:
     try:
-        with h5py.File(path, "r") as file:
-            document = json.loads(file["document"].asstr()[()])
-            arrays = {key: file[key][()] for key in file if key != "document"}
-            expected = Failure if bool(file.attrs["failed"]) else kind
-        return put_together(document, arrays, expected)
-    except (OSError, KeyError, ValueError, TypeError) as error:
+        arrays = dict(hdf5_arrays(path.read_bytes()[SEAL_BYTES:]))
+        failed, document = json.loads(arrays.pop(DOCUMENT).tobytes().decode())
+        return put_together(document, arrays, Failure if failed is True else kind)
+    except _UNREADABLE as error:
         raise CalibError(f"{path}: damaged ({error}); delete it and run again") from error

@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from calib.fit.posterior import ESS_GOAL, R_HAT_LIMIT, Posterior
 from calib.fit.priors import NOISE_SCALE
 from calib.gates import Gate
-from calib.instrument import CalibratedInstrument, DepthTable, ValidationResult
+from calib.images.result import ImageResult
+from calib.instrument import (
+    CalibratedInstrument,
+    DepthTable,
+    ValidationResult,
+    normalised_error,
+)
 from calib.results import GazeResult
 
 NOISE_SCALE_LIMIT = 5.0
@@ -25,6 +33,31 @@ OUTLIER_SHARE_LIMIT = 1 / 6
 DEPTH_LIMIT_REL = 0.2
 """Relative standard uncertainty, in the middle of the calibrated depths, above which nothing has
 been calibrated that a look would not tell."""
+
+
+def all_gates(
+    images: ImageResult, gaze: GazeResult | None, failures: Mapping[str, str]
+) -> tuple[Gate, ...]:
+    """Return the gates of a whole run.
+
+    Parameters
+    ----------
+    failures
+        Why stages that should have had a result have none, by their names.
+    """
+    gates = [Gate(name, passed=False, detail=reason) for name, reason in failures.items()]
+    for intrinsics in images.intrinsics.values():
+        gates += intrinsics.gates
+    gates += images.stereo.gates if images.stereo is not None else ()
+    gates += images.sweep.gates if images.sweep is not None else ()
+    gates += gaze_gates(gaze) if gaze is not None else ()
+    return tuple(gates)
+
+
+def all_warnings(images: ImageResult, gaze: GazeResult | None) -> tuple[str, ...]:
+    """Return what the reader should know of a whole run."""
+    found = [text for intrinsics in images.intrinsics.values() for text in intrinsics.warnings]
+    return (*found, *(gaze_warnings(gaze) if gaze is not None else ()))
 
 
 def gaze_gates(gaze: GazeResult) -> tuple[Gate, ...]:
@@ -144,15 +177,12 @@ def gaze_warnings(gaze: GazeResult) -> tuple[str, ...]:
 def _disagreements(validation: ValidationResult) -> list[str]:
     """Return a warning for each reference that the measured depths contradict.
 
-    E_n is the difference over the expanded uncertainty of the difference (ISO 13528, 9.7). Rows
-    that borrow their depth from one row are one measurement.
+    Rows that borrow their depth from one row are one measurement.
     """
     p, found = validation.prediction, []
     first = np.unique(validation.depth_of, return_index=True)[1]
-    half = (p.high95_mm - p.low95_mm) / 2
     for error in validation.errors:
-        difference = error.error_rel * error.reference_mm
-        score = np.abs(difference) / np.hypot(half, 2 * error.std_mm)
+        score = normalised_error(p, error)
         known = np.isfinite(score[first])
         bad = int(np.sum(score[first][known] > 1))
         if bad > MISSED_SHARE * known.sum():

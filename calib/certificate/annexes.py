@@ -13,7 +13,7 @@ from calib.certificate.numbers import check_error, depth_line, length_result, sy
 from calib.certificate.wording import EXTRAPOLATED, LENGTHS_NOTE, VERDICTS, clean
 from calib.gates import Gate
 from calib.geometry.parameters import INDEX, PARAMETERS
-from calib.uncertainty.budget import Budget, BudgetRow
+from calib.uncertainty.budget import Budget, BudgetRow, CorrelationRow
 from calib.uncertainty.certified import CertifiedDepth, CheckedDepth
 from calib.uncertainty.depth import DepthUncertainty
 from calib.uncertainty.format import (
@@ -22,10 +22,18 @@ from calib.uncertainty.format import (
     fixed,
     interval,
     percent_down,
+    plain,
     significant,
+    upwards,
     with_uncertainty,
 )
 from calib.uncertainty.lengths import LengthError
+
+NEARLY_ONE = 0.99
+"""Correlations beyond it are printed with more digits."""
+
+SLIGHT_PERCENT = 0.05
+"""Pairs with a smaller share, which would print as 0.0, are summed in one row."""
 
 NONE = "-"
 """Of a cell that has nothing to say."""
@@ -62,11 +70,7 @@ def _budgets(depths: Sequence[CertifiedDepth]) -> Annex | None:
 
 def _budget(r: DepthUncertainty) -> Table:
     b = r.budget
-    rows = [_budget_row(row) for row in b.rows]
-    for pair in b.correlations:
-        both = f"r({symbol(pair.first)}, {symbol(pair.second)})"
-        share = fixed(pair.share_percent, 1)
-        rows.append((both, significant(pair.correlation), *[NONE] * 6, share))
+    rows = [*map(_budget_row, b.rows), *_pair_rows(b.correlations)]
     u = with_uncertainty(b.estimate, b.standard_uncertainty)
     rows.append(("depth z", f"{u.value} mm", f"{u.uncertainty} mm", *[NONE] * 5, "100.0"))
     return Table(
@@ -76,9 +80,24 @@ def _budget(r: DepthUncertainty) -> Table:
             "|c| u / mm", "Share / %",
         ),
         rows=tuple(rows),
-        note=_freedom(b),
+        note=f"{_together(b)} {_freedom(b)}",
         words=(0, 3, 4),
     )  # fmt: skip
+
+
+def _pair_rows(pairs: Sequence[CorrelationRow]) -> list[tuple[str, ...]]:
+    """Return a row a pair; those without weight share one."""
+    rows = []
+    for pair in pairs:
+        if abs(pair.share_percent) >= SLIGHT_PERCENT:
+            both = f"r({symbol(pair.first)}, {symbol(pair.second)})"
+            share = fixed(pair.share_percent, 1)
+            rows.append((both, _coefficient(pair.correlation), *[NONE] * 6, share))
+    rest = [p.share_percent for p in pairs if abs(p.share_percent) < SLIGHT_PERCENT]
+    if rest:
+        words = f"{len(rest)} further pair{'s' * (len(rest) > 1)}"
+        rows.append((words, *[NONE] * 7, fixed(sum(rest), 1)))
+    return rows
 
 
 def _budget_row(row: BudgetRow) -> tuple[str, ...]:
@@ -99,11 +118,29 @@ def _budget_row(row: BudgetRow) -> tuple[str, ...]:
     )
 
 
+def _coefficient(r: float) -> str:
+    """Return a correlation coefficient; near one the distance from one is what matters."""
+    return fixed(r, 5 if abs(r) > NEARLY_ONE else 3)
+
+
 def _count(freedom: float | None) -> str:
     """Return degrees of freedom, rounded down."""
     if freedom is None:
         return NONE
     return "∞" if math.isinf(freedom) else str(math.floor(freedom + 1e-9))
+
+
+def _together(b: Budget) -> str:
+    """Return the share of the calibration as a whole: those of its parameters may be huge."""
+    fitted = {row.input.name for row in b.rows if row.input.estimated_with is not None}
+    share = sum(row.share_percent for row in b.rows if row.input.name in fitted)
+    share += sum(
+        pair.share_percent for pair in b.correlations if {pair.first, pair.second} <= fitted
+    )
+    return (
+        f"All inputs of the calibration together: {fixed(share, 1)} %, the reading: "
+        f"{fixed(100 - share, 1)} %."
+    )
 
 
 def _freedom(b: Budget) -> str:
@@ -121,16 +158,16 @@ def _monte_carlo(depths: Sequence[CertifiedDepth]) -> Annex | None:
     return Annex(
         title="Monte Carlo and validation of the first-order law",
         introduction=(
-            "JCGM 101, adaptive procedure (7.9) to two significant digits of u. Clause 8: the linear "
-            "interval is validated if its ends differ from those of the symmetric Monte Carlo "
-            "interval by no more than the numerical tolerance δ. Where the budget gives no k, the "
-            "comparison is made with 1.96, and the linear interval is not stated."
+            "JCGM 101, adaptive procedure (7.9) to two significant digits of u. Clause 8: the "
+            "linear interval is validated if its ends differ from those of the symmetric Monte "
+            "Carlo interval by no more than the numerical tolerance δ. Where the budget gives no "
+            "k, the comparison is made with 1.96, and the linear interval is not stated."
         ),
         tables=(
             Table(
-                title="Distribution of the measured depth, mm",
+                title="Distribution of the measured depth and its 95 % intervals, mm",
                 columns=(
-                    "Depth", "Mean", "u", "Symmetric 95 %", "Shortest 95 %", "Linear 95 %",
+                    "Depth", "Mean", "u", "Symmetric", "Shortest", "Linear",
                     "Difference of ends", "δ", "Validated", "Trials", "Ends known to",
                 ),
                 rows=tuple(_monte_carlo_row(d.result) for d in depths),
@@ -159,7 +196,7 @@ def _monte_carlo_row(r: DepthUncertainty) -> tuple[str, ...]:
         f"{significant(v.difference_low, digits=2)}, {significant(v.difference_high, digits=2)}",
         significant(v.tolerance, digits=1),
         "yes" if v.validated else "no",
-        str(mc.trials),
+        f"{mc.trials:,}".replace(",", "\u202f"),
         f"±{significant(max(mc.numerical_low, mc.numerical_high), digits=2)}",
     )
 
@@ -248,7 +285,7 @@ def _check_row(c: CheckedDepth) -> tuple[str, ...]:
         statement = EXTRAPOLATED if c.conformity is None else f"{statement} ({EXTRAPOLATED})"
     return (
         clean(c.name),
-        significant(c.reference_mm, digits=5),
+        plain(c.reference_mm),
         at_place(c.z_mm, uncertainty=place),
         f"{low} to {high if finite else '∞'}",
         error.value,
@@ -280,7 +317,7 @@ def _length_row(e: LengthError) -> tuple[str, ...]:
     error = length_result(e)
     return (
         error.name,
-        significant(e.reference_mm, digits=5),
+        plain(e.reference_mm),
         at_place(e.measured_mm, uncertainty=e.standard_uncertainty_mm),
         error.value,
         with_uncertainty(0.0, e.expanded_uncertainty_mm).uncertainty,
@@ -293,11 +330,15 @@ def length_limit_words(evidence: Evidence) -> str:
     if limit is None:
         return ""
     return (
-        f"Limit of the error of length: {significant(limit.constant_mm)} mm + "
-        f"{significant(limit.slope)} L for L from {significant(limit.shortest_mm, digits=4)} mm to "
-        f"{significant(limit.longest_mm, digits=4)} mm ({limit.count} "
+        f"Limit of the error of length: {_bound(limit.constant_mm)} mm + "
+        f"{_bound(limit.slope)} L for L from {plain(limit.shortest_mm)} mm to "
+        f"{plain(limit.longest_mm)} mm ({limit.count} "
         f"length{'s' if limit.count > 1 else ''})."
     )
+
+
+def _bound(number: float) -> str:
+    return upwards(number, digits=3) if number > 0 else "0"
 
 
 def _correlations(calibration: CalibrationSummary) -> Annex:
@@ -329,7 +370,9 @@ def _provenance(p: Provenance, gates: Sequence[Gate]) -> Annex:
         ("Software", ", ".join(f"{clean(name)} {clean(version)}" for name, version in p.software)),
         ("Commit", clean(p.commit)),
     ]
-    checks = tuple((clean(g.name), "passed" if g.passed else "FAILED", clean(g.detail)) for g in gates)
+    checks = tuple(
+        (clean(g.name), "passed" if g.passed else "FAILED", clean(g.detail)) for g in gates
+    )
     tables = [Table(title="Data and software", columns=("", ""), rows=tuple(facts), words=(0, 1))]
     if checks:
         tables.append(

@@ -174,7 +174,7 @@ class Figure:
 
 @dataclass(frozen=True)
 class Conclusion:
-    """The statement of conformity for the whole calibrated range; `verdict` None if none is made."""
+    """Conformity over the whole calibrated range; `verdict` None if no statement is made."""
 
     verdict: Verdict | None
     words: str
@@ -195,8 +195,8 @@ class CertificateData:
         Why the certificate must not be used; None if all checks passed.
     cautions
         What to know before use.
-    laboratory, address, customer, item, serial, condition, place, operator, approved_by, method,
-    conditions, traceability, deviations
+    laboratory, address, customer, item, serial, condition, received, place, operator, approved_by,
+    method, conditions, traceability, deviations
         Fields; "not stated" where the manifest is silent.
     temperature_c, humidity_percent
         Numbers as strings; None if not stated.
@@ -238,6 +238,7 @@ class CertificateData:
     item: str
     serial: str
     condition: str
+    received: str
     place: str
     operator: str
     approved_by: str
@@ -278,12 +279,13 @@ class CertificateData:
             Entry("Item calibrated", self.item),
             Entry("Serial number", self.serial),
             Entry("Condition on receipt", self.condition),
+            Entry("Date of receipt", self.received),
             Entry("Place of calibration", self.place),
             Entry("Date of calibration", self.calibrated),
             Entry("Date of issue", self.issued),
             Entry("Conditions", self.conditions),
             Entry("Method", self.method),
-            Entry("Deviations from the method", self.deviations),
+            Entry("Deviations", self.deviations),
             Entry("Traceability", self.traceability),
             Entry("Calibrated by", self.operator),
             Entry("Authorised by", self.approved_by),

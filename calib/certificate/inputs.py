@@ -27,6 +27,8 @@ class Administration:
         Name and contact.
     instrument, serial, condition
         The item, its serial number, its state on receipt.
+    received
+        Date (ISO 8601) on which the item was received.
     location, date
         Place and date (ISO 8601) of the calibration.
     operator, approved_by
@@ -47,6 +49,7 @@ class Administration:
     instrument: str | None = None
     serial: str | None = None
     condition: str | None = None
+    received: str | None = None
     location: str | None = None
     date: str | None = None
     operator: str | None = None
@@ -226,7 +229,5 @@ def new_issue(*, now: datetime, dataset_sha256: str, token: str) -> Issue:
     if len(token) < 12 or not set(token) <= set("0123456789abcdef"):
         raise ValueError("the token needs 12 hexadecimal digits or more")
     moment = now.astimezone(UTC)
-    identifier = "-".join(
-        [PREFIX, moment.strftime("%Y%m%dT%H%M%SZ"), dataset_sha256[:8], token]
-    )
+    identifier = "-".join([PREFIX, moment.strftime("%Y%m%dT%H%M%SZ"), dataset_sha256[:8], token])
     return Issue(identifier=identifier.upper(), issued=moment.date().isoformat())

@@ -20,6 +20,7 @@ from calib.uncertainty.format import (
     fixed,
     interval,
     percent_down,
+    plain,
     significant,
     upwards,
     with_uncertainty,
@@ -157,7 +158,9 @@ def _region(p: PositionUncertainty) -> Region:
 
 def symbol(name: str) -> str:
     """Return the symbol of a parameter, or the name of another input."""
-    return PARAMETERS[INDEX[name]].symbol if name in INDEX else name
+    if name in INDEX:
+        return PARAMETERS[INDEX[name]].symbol
+    return name.replace("alpha2", "α2")
 
 
 def parameter_results(calibration: CalibrationSummary) -> tuple[Result, ...]:
@@ -178,19 +181,19 @@ def parameter_results(calibration: CalibrationSummary) -> tuple[Result, ...]:
                 remark=DECIDED[calibration.identified_by[i]],
             )
         )
-    for d in calibration.derived:
-        found.append(
-            result(
-                name=d.name,
-                meaning=d.meaning,
-                unit=d.unit,
-                value=d.value,
-                u=d.std,
-                factor=_factor(p),
-                stated=None,
-                remark="derived",
-            )
+    found += [
+        result(
+            name=d.name,
+            meaning=d.meaning,
+            unit=d.unit,
+            value=d.value,
+            u=d.std,
+            factor=_factor(p),
+            stated=None,
+            remark="derived",
         )
+        for d in calibration.derived
+    ]
     return tuple(found)
 
 
@@ -218,7 +221,7 @@ def check_error(check: CheckedDepth) -> Result:
     expanded = math.hypot(half, NORMAL_FACTOR * check.u_reference_mm)
     return _error(
         name=clean(check.name),
-        meaning=f"error at a reference depth of {significant(check.reference_mm, digits=5)} mm",
+        meaning=f"error at a reference depth of {plain(check.reference_mm)} mm",
         error=check.z_mm - check.reference_mm,
         u=math.hypot(check.u_mm, check.u_reference_mm),
         expanded=expanded,
@@ -229,7 +232,7 @@ def length_result(e: LengthError) -> Result:
     """Return the error of a length."""
     return _error(
         name=clean(e.name),
-        meaning=f"error of length at a reference length of {significant(e.reference_mm, digits=5)} mm",
+        meaning=f"error at a reference length of {plain(e.reference_mm)} mm",
         error=e.error_mm,
         u=e.standard_uncertainty_mm,
         expanded=e.expanded_uncertainty_mm,

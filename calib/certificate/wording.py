@@ -24,27 +24,31 @@ STABILITY = (
     "The results hold for the state of the item on the date of calibration. Nothing is said of its "
     "long-term stability."
 )
+ADJUSTMENT = (
+    "The calibration determines parameters by which readings are evaluated; it adjusts nothing on "
+    "the item."
+)
 ONE_READING = (
-    "The uncertainty is that of one reading of a target gazed at, at the stated depth, at the ray of "
-    "the field of view where it is largest. It holds the uncertainty of the calibration and of the "
-    "reading; it holds no error of the reference beyond its stated uncertainty, and none of the "
-    "target."
+    "The uncertainty is that of one reading of a target gazed at, at the stated depth, at the ray "
+    "of the field of view where it is largest. It holds the uncertainty of the calibration and of "
+    "the reading; it holds no error of the reference beyond its stated uncertainty, and none of "
+    "the target."
 )
 LINEAR_MEANING = (
     "U is the standard uncertainty u multiplied by the coverage factor k, which for the effective "
     "degrees of freedom gives a coverage probability of 95 %."
 )
 MONTE_CARLO_MEANING = (
-    "Where no k is given, the interval is the shortest one of 95 % probability from the Monte Carlo "
-    "method of JCGM 101: there the first-order law of propagation has no valid coverage factor, or "
-    "clause 8 of JCGM 101 did not validate it."
+    "Where no k is given, the interval is the shortest one of 95 % probability from the Monte "
+    "Carlo method of JCGM 101: there the first-order law of propagation has no valid coverage "
+    "factor, or clause 8 of JCGM 101 did not validate it."
 )
 NO_TOLERANCE = "No tolerance was stated; no statement of conformity is made."
 WITHHELD = "No statement of conformity is made, because a check of the calibration failed."
 EXTRAPOLATED = "extrapolated"
 LENGTHS_NOTE = (
-    "Error of length in the manner of VDI/VDE 2634 part 1. That guideline's acceptance test was not "
-    "carried out and no conformity with it is claimed. A + K·L is the least line above every "
+    "Error of length in the manner of VDI/VDE 2634 part 1. That guideline's acceptance test was "
+    "not carried out and no conformity with it is claimed. A + K·L is the least line above every "
     "|error| + U, for lengths L within the range tested."
 )
 

@@ -74,6 +74,12 @@ def _date(value: object) -> str:
     refuse(f"{shown(value)} is not a date", "write it as 2026-01-31")
 
 
+def _country(text: str) -> str:
+    if not (len(text) == 2 and text.isascii() and text.isalpha() and text.isupper()):
+        refuse(f"{shown(text)} is not a country code", 'write two capitals, such as "DE"')
+    return text
+
+
 def _target(value: object) -> object:
     if value is None or value == "centre":
         return value
@@ -112,6 +118,7 @@ def _in_mm(value: float) -> float:
 Line = Annotated[str, AfterValidator(_line)]
 Prose = Annotated[str, AfterValidator(_prose)]
 Day = Annotated[str, BeforeValidator(_date)]
+Country = Annotated[str, AfterValidator(_country)]
 Flag = Annotated[bool, Field(strict=True)]
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Positive = Annotated[Number, Field(gt=0)]

@@ -15,6 +15,7 @@ from calib.dataset.fields import (
     AngleDeg,
     CameraMatrix,
     CornerCount,
+    Country,
     Day,
     DepthTolerance,
     Flag,
@@ -258,21 +259,39 @@ class Tolerance(Section):
 
 
 class Certificate(Section):
-    """What the certificate prints; "not stated" where it is silent."""
+    """What the certificate prints; "not stated" where it is silent.
+
+    `replaces` is the identifier of the certificate that this one amends, `amendment` the reason.
+    """
 
     laboratory: Line | None = None
     address: Prose | None = None
     customer: Prose | None = None
     instrument: Line | None = None
     serial: Line | None = None
+    condition: Prose | None = None
+    received: Day | None = None
     location: Line | None = None
     date: Day | None = None
     operator: Line | None = None
     approved_by: Line | None = None
     temperature_c: Number | None = None
     humidity_percent: Percent | None = None
+    deviations: Prose | None = None
+    country: Country | None = None
+    replaces: Line | None = None
+    amendment: Prose | None = None
     tolerance: Tolerance | None = None
     decision_rule: Literal["simple", "guard-band"] = "simple"
+
+    @model_validator(mode="after")
+    def _check_amendment(self) -> Certificate:
+        if self.amendment is not None and self.replaces is None:
+            refuse(
+                "amendment is given without replaces",
+                "add replaces, the identifier of the certificate that is amended",
+            )
+        return self
 
 
 class Manifest(Section):

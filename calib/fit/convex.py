@@ -24,7 +24,7 @@ from calib.fit.linear import residual_mrad
 from calib.fit.noise import is_outlier, row_noise
 from calib.fit.start import find_start
 from calib.geometry.parameters import vector
-from calib.geometry.plane import closure
+from calib.geometry.plane import closure_value
 from calib.observations import Observations
 
 HUBER_THRESHOLD = 1.345
@@ -132,9 +132,9 @@ def _system(rows: Observations) -> _System:
     """Return the weighted linear system of eqs. (7) and (8)."""
     start = find_start(rows, axis_z=True)
     sigma = row_noise(start, rows).sigma
-    miss = closure(start, rows.gaze, rows.z_mm).value / sigma
+    standardised = closure_value(start, rows.gaze, rows.z_mm) / sigma
     few = 1 + 5 / max(len(rows) - 3, 1)
-    scale = max(MAD_TO_SIGMA * few * float(np.median(np.abs(miss))), 1e-6)
+    scale = max(MAD_TO_SIGMA * few * float(np.median(np.abs(standardised))), 1e-6)
     angle = rows.alpha2_rad + rows.gaze_residual_rad
     c, x, z = 1 / np.tan(angle), rows.x1c, rows.z_mm
     w = np.sin(angle) / (sigma * scale)

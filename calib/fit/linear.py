@@ -86,7 +86,7 @@ def residual_mrad(theta: FloatArray, rows: Observations) -> FloatArray:
 
     It is the closure over the normal's x component, sin(a) for an untilted axis.
     """
-    c = closure(theta, rows.gaze, rows.z_mm)
+    c = closure(theta, rows.gaze, rows.z_mm, parameters=())
     residual: FloatArray = 1e3 * c.value / -c.by_observable[:, 0]
     return residual
 

@@ -65,7 +65,7 @@ class RowNoise:
 
 def row_noise(theta: FloatArray, rows: Observations) -> RowNoise:
     """Return the noise of rows at parameters `theta`, shape (COUNT,)."""
-    slope = closure(theta, rows.gaze, rows.z_mm).by_observable
+    slope = closure(theta, rows.gaze, rows.z_mm, parameters=()).by_observable
     sigma = np.sqrt(((slope * rows.std) ** 2).sum(axis=1))
     return RowNoise(sigma, np.abs(slope[:, OBSERVABLE.alpha2]))
 

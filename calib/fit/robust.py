@@ -20,12 +20,11 @@ from calib.fit.noise import CORE, DOF, EFFICIENCY, is_outlier, row_noise, weight
 from calib.fit.priors import NormalKnowledge, Priors, measured_of, prior_of
 from calib.fit.start import find_start
 from calib.geometry.parameters import MODELS, PARAMETERS, Model, embed
-from calib.geometry.plane import closure
+from calib.geometry.plane import closure, closure_value
 from calib.observations import Observations
 
 ROUNDS = 12
 """Rounds of fit, weights and noise scale; they agree to six digits after three or four."""
-
 
 SPARE_ROWS = 3
 """Rows beyond the parameters: fewer leave the noise scale to its prior."""
@@ -129,11 +128,12 @@ class _Problem:
         gaze, z, free = self.rows.gaze, self.rows.z_mm, list(self.model.indices)
 
         def residual(x: FloatArray) -> FloatArray:
-            miss = closure(embed(x, self.model.free), gaze, z).value / sigma
-            return np.concatenate([miss, a @ x - b])
+            return np.concatenate(
+                [closure_value(embed(x, self.model.free), gaze, z) / sigma, a @ x - b]
+            )
 
         def jacobian(x: FloatArray) -> FloatArray:
-            slope = closure(embed(x, self.model.free), gaze, z).by_theta[:, free]
+            slope = closure(embed(x, self.model.free), gaze, z, parameters=free).by_theta
             return np.concatenate([slope / sigma[:, None], a])
 
         solution = least_squares(
@@ -178,8 +178,8 @@ class _Problem:
 
     def information(self, theta: FloatArray, sigma: FloatArray, scale: float) -> FloatArray:
         """Return the rows' Fisher information, outliers left out, shape (p, p)."""
-        c = closure(theta, self.rows.gaze, self.rows.z_mm)
-        slope = c.by_theta[:, list(self.model.indices)] / (sigma * scale)[:, None]
+        c = closure(theta, self.rows.gaze, self.rows.z_mm, parameters=self.model.indices)
+        slope = c.by_theta / (sigma * scale)[:, None]
         slope = slope[~is_outlier(c.value / sigma, scale)]
         information: FloatArray = EFFICIENCY * slope.T @ slope
         return information
@@ -238,7 +238,7 @@ def fit_robust(
     theta = find_start(rows, axis_z="axis_z_mm" in model.free) if start is None else start
     free = theta[list(model.indices)]
     sigma = row_noise(theta, rows).sigma
-    scale = problem.noise_scale(closure(theta, rows.gaze, rows.z_mm).value / sigma, 0.0)
+    scale = problem.noise_scale(closure_value(theta, rows.gaze, rows.z_mm) / sigma, 0.0)
     evaluations = 0
     for _ in range(ROUNDS):
         before = np.append(free, scale)
@@ -248,7 +248,7 @@ def fit_robust(
         sigma = row_noise(theta, rows).sigma
         data = problem.information(theta, sigma, scale) + measured.precision
         decided = float(np.trace(_inverse(data + prior.precision, model) @ data))
-        scale = problem.noise_scale(closure(theta, rows.gaze, rows.z_mm).value / sigma, decided)
+        scale = problem.noise_scale(closure_value(theta, rows.gaze, rows.z_mm) / sigma, decided)
         if np.allclose(np.append(free, scale), before, rtol=1e-9, atol=1e-12):
             break
     fit = _Solution(theta, sigma, scale, decided, data, evaluations)
@@ -287,8 +287,7 @@ def _describe(problem: _Problem, prior: NormalKnowledge, fit: _Solution) -> Robu
     rows, model = problem.rows, problem.model
     own = _inverse(fit.data + prior.precision, model)
     by_shared = _by_shared(problem, fit)
-    c = closure(fit.theta, rows.gaze, rows.z_mm)
-    standardised = c.value / fit.sigma
+    standardised = closure_value(fit.theta, rows.gaze, rows.z_mm) / fit.sigma
     outlier = is_outlier(standardised, fit.scale)
     residual = residual_mrad(fit.theta, rows)
     freedom = max(float(np.sum(~outlier)) - fit.decided, 1.0)
@@ -340,9 +339,9 @@ def _by_shared(problem: _Problem, fit: _Solution) -> FloatArray:
     rows, model = problem.rows, problem.model
     if not rows.shared_names:
         return np.zeros((len(model.free), 0))
-    c = closure(fit.theta, rows.gaze, rows.z_mm)
+    c = closure(fit.theta, rows.gaze, rows.z_mm, parameters=model.indices)
     pull = np.sqrt(weight(c.value / fit.sigma, fit.scale)) / (CORE * fit.scale * fit.sigma)
-    slope = pull[:, None] * c.by_theta[:, list(model.indices)]
+    slope = pull[:, None] * c.by_theta
     push = pull[:, None] * np.einsum("nq,nqk->nk", c.by_observable, rows.shared)
     normal = _inverse(slope.T @ slope + problem.knowledge.precision, model)
     change: FloatArray = -normal @ (slope.T @ push)

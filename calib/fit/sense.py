@@ -11,7 +11,7 @@ from calib.fit.noise import log_density, row_noise
 from calib.fit.start import SCALE_GRID, find_start
 from calib.gates import Gate
 from calib.geometry.parameters import INDEX
-from calib.geometry.plane import closure
+from calib.geometry.plane import closure_value
 from calib.observations import Observations
 
 DECISIVE = 5.0
@@ -24,8 +24,8 @@ PLAUSIBLE_ZERO_RAD = float(np.deg2rad(20.0))
 def _score(rows: Observations) -> tuple[float, float, float]:
     """Return the log likelihood of the best start, its baseline, mm, and encoder zero, rad."""
     theta = find_start(rows, axis_z=True)
-    miss = closure(theta, rows.gaze, rows.z_mm).value / row_noise(theta, rows).sigma
-    density = float(log_density(miss[:, None], SCALE_GRID[None]).sum(axis=0).max())
+    standardised = closure_value(theta, rows.gaze, rows.z_mm) / row_noise(theta, rows).sigma
+    density = float(log_density(standardised[:, None], SCALE_GRID[None]).sum(axis=0).max())
     return density, float(theta[INDEX["baseline_mm"]]), float(theta[INDEX["delta2_rad"]])
 
 

@@ -9,7 +9,7 @@ from calib.errors import EstimationError
 from calib.fit.linear import fit_bilinear
 from calib.fit.noise import log_density, row_noise
 from calib.geometry.parameters import vector
-from calib.geometry.plane import closure
+from calib.geometry.plane import closure_value
 from calib.observations import Observations
 
 TRIMMED_STARTS = 60
@@ -36,7 +36,7 @@ def first_guess(rows: Observations) -> FloatArray:
 
 
 def _misses(theta: FloatArray, rows: Observations, sigma: FloatArray) -> FloatArray:
-    return closure(theta, rows.gaze, rows.z_mm).value / sigma
+    return closure_value(theta, rows.gaze, rows.z_mm) / sigma
 
 
 def _best_log_density(standardised: FloatArray) -> float:

@@ -113,11 +113,16 @@ def project(camera: Camera, rays: FloatArray) -> FloatArray:
     return pixels
 
 
-def normalise(camera: Camera, pixels: FloatArray) -> FloatArray:
+def normalise(camera: Camera, pixels: FloatArray, *, strict: bool = True) -> FloatArray:
     """Return undistorted, normalised coordinates x, y of pixels, shape (n, 2) both.
 
     The lens model is inverted on its branch around the optical axis: radially by bisection, then
     in full by Newton's method. Rows with NaN stay NaN.
+
+    Parameters
+    ----------
+    strict
+        If false, pixels to which no ray belongs become NaN instead of an error.
 
     Raises
     ------
@@ -127,7 +132,7 @@ def normalise(camera: Camera, pixels: FloatArray) -> FloatArray:
     xy = np.full(pixels.shape, np.nan)
     good = np.isfinite(pixels).all(axis=-1)
     if good.any():
-        xy[good] = _invert(camera, pixels[good])
+        xy[good] = _invert(camera, pixels[good], strict=strict)
     return xy
 
 
@@ -193,24 +198,24 @@ def _project(camera: Camera, xy: FloatArray) -> _Projection:
     )
 
 
-def _invert(camera: Camera, pixels: FloatArray) -> FloatArray:
-    """Return the rays of finite pixels, shape (n, 2), or raise EstimationError."""
+def _invert(camera: Camera, pixels: FloatArray, *, strict: bool) -> FloatArray:
+    """Return the rays of finite pixels, shape (n, 2); where there is none raise or return NaN."""
     limit = radius_limit(camera)
     xy = _radial_inverse(camera, pixels, min(limit, RADIUS_MAX))
     with np.errstate(all="ignore"):  # a pixel without a ray may run off; it is judged below
         for _ in range(_NEWTON_STEPS):
             projection = _project(camera, xy)
             error = projection.pixels - pixels
-            if np.abs(error).max() < _NEWTON_DONE_PX:
+            if np.all(np.abs(error) < _NEWTON_DONE_PX):
                 break
             xy = xy - _solve(projection.by_xy, error)
         projection = _project(camera, xy)
         error = np.hypot(*(projection.pixels - pixels).T)
         unfolded = (np.linalg.det(projection.by_xy) > 0) & (np.hypot(*xy.T) < limit)
     good = (error < REPROJECTION_TOLERANCE_PX) & unfolded
-    if not good.all():
+    if strict and not good.all():
         raise EstimationError(_folded(pixels, good, limit))
-    return xy
+    return np.where(good[:, None], xy, np.nan)
 
 
 def _radial_inverse(camera: Camera, pixels: FloatArray, limit: float) -> FloatArray:

@@ -1,0 +1,1 @@
+"""Stages that start from board images: detection, intrinsics, stereo reference, yaw sweep."""

@@ -63,6 +63,8 @@ def project_points(camera: Camera, points: FloatArray) -> Projection:
     Intrinsics are in the order fx, fy, cx, cy, distortion.
     """
     count = len(camera.distortion)
+    if not len(points):
+        return Projection(np.empty((0, 2)), np.empty((0, 2, 3)), np.empty((0, 2, 4 + count)))
     still = np.zeros(3)
     pixels, jacobian = cv2.projectPoints(
         points, still, still, camera.matrix, camera.distortion if count else None
@@ -152,6 +154,38 @@ def inverse(matrix: FloatArray) -> FloatArray:
         raise EstimationError("bundle adjustment: the images leave some unknown open")
     result: FloatArray = np.linalg.inv(scaled) / np.outer(scale, scale)
     return result
+
+
+def dispersion(clusters: Sequence[Sequence[Block]], spread: FloatArray, columns: IntArray) -> float:
+    """Return how much more clusters contradict each other than independent noise explains.
+
+    The variance of the unknowns `columns` as the clusters show it, over that of least squares with
+    independent residuals, averaged over all directions: the cluster-robust covariance of Liang and
+    Zeger (1986, doi 10.1093/biomet/73.1.13), less its bias, as one number. 1 on independent noise,
+    more where errors are common to an image: a detector's bias with the light, blur, a board that
+    is not quite flat. Never below 1: few clusters may agree by chance.
+
+    Parameters
+    ----------
+    clusters
+        Whitened blocks at the minimum, by image or pair.
+    spread
+        Inverse of the normal matrix of all unknowns, shape (n, n).
+    columns
+        Places of the unknowns in question.
+    """
+    chosen = spread[columns]
+    weight = chosen.T @ inverse(chosen[:, columns]) @ chosen
+    found = expected = 0.0
+    for blocks in clusters:
+        own = np.unique(np.concatenate([block.columns for block in blocks]))
+        at_own = [block._replace(columns=np.searchsorted(own, block.columns)) for block in blocks]
+        normal = sum_blocks(at_own, len(own))
+        inside = np.ix_(own, own)
+        found += float(normal.gradient @ weight[inside] @ normal.gradient)
+        left = normal.matrix - normal.matrix @ spread[inside] @ normal.matrix
+        expected += float(np.einsum("ij,ji->", weight[inside], left))
+    return max(1.0, found / expected)
 
 
 def finite(rows: FloatArray) -> BoolArray:

@@ -29,6 +29,10 @@ THREADS = 2
 """OpenCV's functions let go of Python's lock: two threads are 1.8 to 1.9 times as fast as one, and
 more memory than two pictures' is not needed."""
 
+LARGER_MIN = 3
+"""Pictures that must show the board go on beyond its declared size; clutter beside the board does
+it in one of 25."""
+
 COUNT_TRIED_ON = 3
 """Pictures in which boards of other counts are sought when the declared one is in none."""
 
@@ -180,7 +184,7 @@ def _wrong_count(root: Path, found: Mapping[str, Found], board: Board) -> list[P
     declared = f"{board.columns} x {board.rows}"
     seen = [name for name, view in found.items() if view.detector != "none"]
     larger = [name for name in seen if found[name].goes_on]
-    if 2 * len(larger) > len(seen):
+    if len(larger) >= LARGER_MIN and 2 * len(larger) > len(seen):
         return [
             Problem(
                 larger[0],

@@ -1,20 +1,13 @@
 """mrcal as a backend: corners in, lens and poses out, solved in a process of its own.
 
-mrcal is on no Python registry; it comes with the system and is tied to the system's numpy. So the
-system's interpreter runs `mrcal_worker`, once a solve, and arrays go to and fro in ``.npz`` files.
-That also keeps a crash of its C library away from this process.
+The solve itself is `mrcal_worker`'s; here its arrays are put together and taken apart.
 """
 
 from __future__ import annotations
 
 import json
-import os
-import signal
-import subprocess
-import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import cv2
@@ -22,21 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.arrays import BoolArray, FloatArray
-from calib.errors import CalibError, EstimationError
+from calib.errors import EstimationError
 from calib.geometry.camera import camera_from_vector
+from calib.images.bundle import finite
+from calib.images.mrcal_call import call_worker
 from calib.images.types import Board, Corners, LensFit
-
-INTERPRETER_VARIABLE = "CALIB_MRCAL_PYTHON"
-"""Environment variable with the interpreter that has mrcal."""
-
-DEFAULT_INTERPRETER = "/usr/bin/python3"
-"""Where the distributions' package puts mrcal."""
-
-INSTALL = "apt install python3-mrcal"
-"""How Debian and Ubuntu users get mrcal."""
-
-TIMEOUT_S = 300.0
-"""A solve takes one second with 50 views and about ten with a splined lens; this one hangs."""
 
 MIN_CORNERS = 8
 """A view with fewer corners is left out: six numbers of pose would use up most of it."""
@@ -59,14 +42,7 @@ SPLINE_MARGIN = 1.15
 SPLINE_KNOTS = 10
 """Knots of a splined model along the longer side: some 60 px apart on VGA, wider than a square."""
 
-_WORKER = Path(__file__).with_name("mrcal_worker.py")
-_MISSING = 4
-_LAST_WORDS = 300
 _STEREOGRAPHIC = 2.0
-
-
-class MrcalMissingError(CalibError):
-    """There is no mrcal on this machine; the other backend goes on alone."""
 
 
 @dataclass(frozen=True)
@@ -216,7 +192,7 @@ def solve(
         arrays["start_cameras"] = held.camera_from_first
         arrays["start_frames"] = held.poses[request.views]
     arrays["header"] = np.array(json.dumps(header))
-    return request.solution(_call(arrays), lens_model)
+    return request.solution(call_worker(arrays), lens_model)
 
 
 def splined_lens(corners: Corners, *, focal_px: float) -> str:
@@ -273,7 +249,7 @@ def focal_start(corners: Corners, board: Board) -> float:
     the width of the imager, which starts lenses of 30 to 100 degrees.
     """
     flat = board.object_points()
-    seen = _finite(corners.pixels)
+    seen = finite(corners.pixels)
     views = np.flatnonzero(seen.sum(axis=-1) >= MIN_CORNERS)
     width = float(corners.image_size[0])
     if not len(views):
@@ -304,7 +280,7 @@ class _Request:
     def build(cls, cameras: Sequence[Corners], board: Board) -> _Request:
         """Collect the boards with enough corners, by view and then by camera, as mrcal wants."""
         pixels = np.stack([corners.pixels for corners in cameras])
-        seen = _finite(pixels)
+        seen = finite(pixels)
         view, camera = np.nonzero((seen.sum(axis=-1) >= MIN_CORNERS).T)
         if len(np.unique(view)) < MIN_VIEWS:
             raise EstimationError(
@@ -369,71 +345,8 @@ def _in_camera(solution: MrcalSolution, index: int) -> FloatArray:
         return solution.poses
     turn = solution.camera_from_first[index - 1]
     poses = np.full_like(solution.poses, np.nan)
-    for i in np.flatnonzero(_finite(solution.poses)):
+    for i in np.flatnonzero(finite(solution.poses)):
         pose = solution.poses[i]
         rotation, translation = cv2.composeRT(pose[:3], pose[3:], turn[:3], turn[3:])[:2]
         poses[i] = np.concatenate([rotation.ravel(), translation.ravel()])
     return poses
-
-
-def _finite(rows: FloatArray) -> BoolArray:
-    """Return where rows, shape (..., k), are free of NaN, shape (...)."""
-    finite: BoolArray = np.asarray(np.isfinite(rows).all(axis=-1))
-    return finite
-
-
-def _call(arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-    """Run the worker on the request; return the arrays of its reply."""
-    interpreter = os.environ.get(INTERPRETER_VARIABLE, DEFAULT_INTERPRETER)
-    # The variables that steer this interpreter are not meant for that one. One thread: the sums,
-    # and so the last digits, are then the same on every machine.
-    environment = {k: v for k, v in os.environ.items() if not k.startswith("PYTHON")}
-    environment |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
-    with tempfile.TemporaryDirectory(prefix="calib-mrcal-") as name:
-        folder = Path(name)
-        np.savez(folder / "request.npz", allow_pickle=False, **arrays)
-        try:
-            # -I: neither this folder, whose types.py would hide Python's own, nor the user's.
-            done = subprocess.run(  # noqa: S603 - no shell; the interpreter is the user's choice
-                [interpreter, "-I", str(_WORKER), name],
-                cwd=folder,
-                env=environment,
-                stdin=subprocess.DEVNULL,
-                capture_output=True,
-                timeout=TIMEOUT_S,
-                check=False,
-            )
-        except OSError as error:
-            raise MrcalMissingError(_missing(interpreter, str(error))) from error
-        except subprocess.TimeoutExpired as error:
-            raise EstimationError(
-                f"mrcal gave no answer within {TIMEOUT_S:.0f} s; use fewer views or a lens model "
-                "with fewer parameters"
-            ) from error
-        words = _last_words(done.stderr)
-        if done.returncode == _MISSING:
-            raise MrcalMissingError(_missing(interpreter, words))
-        if done.returncode:
-            raise EstimationError(f"mrcal {_manner(done.returncode)}: {words}")
-        with np.load(folder / "reply.npz", allow_pickle=False) as file:
-            return {key: file[key] for key in file.files}
-
-
-def _missing(interpreter: str, words: str) -> str:
-    return (
-        f"{interpreter} has no mrcal ({words}): the cross-check by a second backend is missing; "
-        f"install it ({INSTALL}) or name the interpreter that has it in {INTERPRETER_VARIABLE}"
-    )
-
-
-def _manner(returncode: int) -> str:
-    """Say how the worker ended."""
-    if returncode > 0:
-        return "failed"
-    return f"crashed with {signal.Signals(-returncode).name}"
-
-
-def _last_words(stderr: bytes) -> str:
-    """Return the last line of the worker's error stream, shortened."""
-    lines = [line.strip() for line in stderr.decode("utf-8", "replace").splitlines()]
-    return next((line for line in reversed(lines) if line), "no message")[-_LAST_WORDS:]

@@ -19,11 +19,19 @@ from itertools import pairwise
 import cv2
 import numpy as np
 
-from calib.arrays import BoolArray, FloatArray
+from calib.arrays import BoolArray, FloatArray, IntArray
 from calib.errors import EstimationError
 from calib.geometry.camera import Camera, intrinsic_vector
 from calib.images import mrcal_process
-from calib.images.bundle import Block, bowed, finite, inverse, project_points, sum_blocks
+from calib.images.bundle import (
+    Block,
+    bowed,
+    dispersion,
+    finite,
+    inverse,
+    project_points,
+    sum_blocks,
+)
 from calib.images.checks import outlier_limit
 from calib.images.mrcal_process import MIN_CORNERS
 from calib.images.pairs import PairStart
@@ -74,7 +82,11 @@ class StereoSolve:
     covariance
         Of `pose_12`, with the uncertainty of the intrinsics, shape (6, 6).
     noise_covariance
-        The part of it that corner noise gives at these intrinsics, shape (6, 6).
+        The part of it that the pairs' own errors give at these intrinsics: that of independent
+        corner noise times `dispersion`, shape (6, 6).
+    dispersion
+        Variance of the pose as the pairs show it over that which independent corner noise
+        explains, see `calib.images.bundle.dispersion`; 1 where it was not looked at.
     by_intrinsics
         d(pose_12)/d(intrinsics of C1, then C2) where they are held, shape (6, p1 + p2).
     rms_px
@@ -88,7 +100,7 @@ class StereoSolve:
     rejected
         Corners discarded as outliers.
     board_warp_mm
-        Bow of the board along x and y, mm, where it was solved or given; else None.
+        Bow of the board along x and y, mm, where the backend solves it; else None.
     """
 
     backend: str
@@ -96,6 +108,7 @@ class StereoSolve:
     pose_12: FloatArray
     covariance: FloatArray
     noise_covariance: FloatArray
+    dispersion: float
     by_intrinsics: FloatArray
     rms_px: float
     sigma_px: float
@@ -105,28 +118,17 @@ class StereoSolve:
     board_warp_mm: tuple[float, float] | None
 
 
-def solve_opencv(
-    start: PairStart,
-    board: Board,
-    rig: CameraPair,
-    *,
-    warp_mm: tuple[float, float] | None = None,
-) -> StereoSolve:
-    """Solve with OpenCV's stereoCalibrate, intrinsics held.
+def solve_opencv(start: PairStart, board: Board, rig: CameraPair) -> StereoSolve:
+    """Solve with OpenCV's stereoCalibrate, intrinsics held, the board taken to be flat.
 
     It has no outlier rejection, so gross outliers are left out and the rest solved again.
-
-    Parameters
-    ----------
-    warp_mm
-        Known bow of the board; OpenCV cannot solve for it.
 
     Raises
     ------
     EstimationError
         If the pairs do not determine the pose.
     """
-    points = bowed(board.object_points(), warp_mm)
+    points = board.object_points()
     seen: BoolArray = np.asarray(finite(start.pixels).all(axis=0))
     used = seen.copy()
     for _ in range(_REJECTION_ROUNDS):
@@ -144,13 +146,14 @@ def solve_opencv(
         pose_12=pose_12,
         covariance=np.zeros((6, 6)),
         noise_covariance=np.zeros((6, 6)),
+        dispersion=1.0,
         by_intrinsics=np.zeros((6, 0)),
         rms_px=float(np.sqrt(np.nanmean(residuals**2))),
         sigma_px=0.0,
         residuals=residuals,
         poses=poses,
         rejected=2 * int(seen.sum() - used.sum()),
-        board_warp_mm=warp_mm,
+        board_warp_mm=None,
     )
     return _with_covariance(solve, board, rig, warp_free=False)
 
@@ -291,6 +294,7 @@ def _from_mrcal(solution: mrcal_process.MrcalSolution, intrinsics: str) -> Stere
         pose_12=pose_12,
         covariance=noise,
         noise_covariance=noise,
+        dispersion=1.0,
         by_intrinsics=np.zeros((6, 0)),
         rms_px=solution.rms_px,
         sigma_px=solution.sigma_px,
@@ -307,25 +311,36 @@ def _with_covariance(
     """Return the solution with the covariance of its pose, linearised around it."""
     points = bowed(board.object_points(), solve.board_warp_mm)
     known = sum(4 + len(c.distortion) for c in rig.cameras)
-    pairs = (_pair_blocks(solve, i, points, rig.cameras) for i in range(len(solve.poses)))
-    blocks = [block for pair in pairs for block in pair]
-    matrix = sum_blocks(blocks, known + 8 + 6 * len(solve.poses)).matrix
+    pairs = [_pair_blocks(solve, i, points, rig.cameras) for i in range(len(solve.poses))]
+    matrix = sum_blocks([b for pair in pairs for b in pair], known + 8 + 6 * len(pairs)).matrix
     # Unknowns in order: intrinsics (known), pose of C2, bow of the board, board poses.
     solved = np.arange(known, len(matrix))
     if not warp_free:
         solved = np.delete(solved, [6, 7])
     solved = solved[np.diag(matrix)[solved] > 0]  # a pair may have lost all its corners
-    spread = inverse(matrix[np.ix_(solved, solved)])[:6]
+    spread = inverse(matrix[np.ix_(solved, solved)])
     square_sum = float(np.nansum(solve.residuals**2))
     freedom = max(1, int(np.isfinite(solve.residuals).sum()) - len(solved))
-    noise = spread[:, :6] * square_sum / freedom
+    sigma = float(np.sqrt(square_sum / freedom))
+    factor = dispersion([_narrowed(pair, solved, sigma) for pair in pairs], spread, np.arange(6))
     done = replace(
         solve,
-        noise_covariance=noise,
-        by_intrinsics=-spread @ matrix[np.ix_(solved, np.arange(known))],
-        sigma_px=float(np.sqrt(square_sum / freedom)),
+        noise_covariance=factor * sigma**2 * spread[:6, :6],
+        by_intrinsics=-spread[:6] @ matrix[np.ix_(solved, np.arange(known))],
+        sigma_px=sigma,
+        dispersion=factor,
     )
     return replace(done, covariance=joint_covariance(rig, done)[-6:, -6:])
+
+
+def _narrowed(pair: list[Block], solved: IntArray, sigma_px: float) -> list[Block]:
+    """Return blocks with the columns of solved unknowns alone, residuals whitened."""
+    narrowed = []
+    for block in pair:
+        kept = np.isin(block.columns, solved)
+        columns = np.searchsorted(solved, block.columns[kept])
+        narrowed.append(Block(block.residuals / sigma_px, block.jacobian[:, kept], columns))
+    return narrowed
 
 
 def _pair_blocks(

@@ -21,7 +21,6 @@ import numpy as np
 from calib.arrays import FloatArray
 from calib.gates import Gate
 from calib.geometry.camera import Camera
-from calib.images.bundle import inverse
 from calib.images.checks import fit_gate, gate
 from calib.images.poses import rotation
 from calib.images.sweep_model import AXIS, ENCODER, Axis, SweepProblem, axis_of, residuals_of
@@ -77,6 +76,9 @@ class SweepResult:
         Root mean square of the residual per coordinate over inliers.
     sigma_px
         The same per degree of freedom.
+    dispersion
+        Variance of the axis as the images show it over that which independent corner noise
+        explains, see `calib.images.bundle.dispersion`; all covariances here contain it.
     residuals
         Observed minus projected, px, shape (n, corners, 2); NaN where missing or rejected.
     images
@@ -107,6 +109,7 @@ class SweepResult:
     covariance: FloatArray
     rms_px: float
     sigma_px: float
+    dispersion: float
     residuals: FloatArray
     images: tuple[str, ...]
     placements: tuple[str, ...]
@@ -160,7 +163,7 @@ def yaw_sweep(
     x, problem = solution.minimum.x, solution.problem
     axis = axis_of(x)
     unknowns = AXIS + len(ENCODER)
-    spread = inverse(solution.minimum.normal.matrix)[:unknowns, :unknowns]
+    spread = solution.dispersion * solution.spread[:unknowns, :unknowns]
     mean, covariance_all = _parameters(x, spread, *_height(axis, pose_12))
     std = np.sqrt(np.diag(covariance_all))
     e, roll, scale = (NAMES.index(name) for name in _REPORTED)
@@ -184,6 +187,7 @@ def yaw_sweep(
         covariance=covariance_all[np.ix_(kept, kept)],
         rms_px=float(np.sqrt(np.nanmean(residuals**2))),
         sigma_px=problem.sigma_px,
+        dispersion=solution.dispersion,
         residuals=residuals,
         images=solution.images,
         placements=solution.placements,

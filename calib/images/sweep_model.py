@@ -65,6 +65,8 @@ class SweepProblem:
         Standard deviation of the error of a reading, rad.
     sigma_px
         Standard deviation of a corner coordinate, px.
+    foot_std_mm
+        Of the normal prior of f_x and f_z about 0.
     encoder_prior
         (mean, standard deviation) of each encoder term; an infinite one for no prior.
     """
@@ -77,6 +79,7 @@ class SweepProblem:
     intrinsics_root: FloatArray
     turn_std_rad: float
     sigma_px: float
+    foot_std_mm: float
     encoder_prior: tuple[tuple[float, float], ...]
 
     @property
@@ -192,6 +195,16 @@ def blocks_of(problem: SweepProblem, x: FloatArray) -> list[Block]:
     return [*_prior_blocks(problem, x), *images]
 
 
+def image_clusters(problem: SweepProblem, x: FloatArray) -> list[tuple[Block, ...]]:
+    """Return the blocks of each image, with what is known of its own reading."""
+    state = _state(problem, x)
+    clusters: list[tuple[Block, ...]] = []
+    for i in range(len(problem.readings_rad)):
+        own = problem.at_turns[i : i + 1]
+        clusters.append((_image_block(problem, state, i), Block(x[own], np.eye(len(own)), own)))
+    return clusters
+
+
 def _image_block(problem: SweepProblem, state: _State, i: int) -> Block:
     """Return the block of one image."""
     axis, turn = state.axis, state.turns[i]
@@ -219,18 +232,20 @@ def _image_block(problem: SweepProblem, state: _State, i: int) -> Block:
     residuals = (view.pixels - problem.pixels[i])[used] / problem.sigma_px
     return Block(
         residuals.ravel(),
-        jacobian[used].reshape(residuals.size, -1),
+        jacobian[used].reshape(residuals.size, jacobian.shape[-1]),
         np.concatenate(columns),
     )
 
 
 def _prior_blocks(problem: SweepProblem, x: FloatArray) -> list[Block]:
-    """Return what is known beforehand: intrinsics, encoder terms, readings."""
+    """Return what is known beforehand: foot, intrinsics, encoder terms, readings."""
     whitened = np.concatenate([problem.at_intrinsics, problem.at_turns])
     mean, std = np.array(problem.encoder_prior).T
     known = np.flatnonzero(np.isfinite(std))
     encoder = AXIS + known
+    foot = np.array([2, 3])
     return [
+        Block(x[foot] / problem.foot_std_mm, np.eye(2) / problem.foot_std_mm, foot),
         Block(x[whitened], np.eye(len(whitened)), whitened),
         Block((x[encoder] - mean[known]) / std[known], np.diag(1 / std[known]), encoder),
     ]

@@ -12,12 +12,19 @@ import numpy as np
 from calib.arrays import FloatArray, IntArray
 from calib.errors import EstimationError
 from calib.geometry.camera import Camera
-from calib.images.bundle import Minimum, bowed, finite, inverse, minimise
+from calib.images.bundle import Minimum, bowed, dispersion, finite, inverse, minimise
 from calib.images.checks import RMS_LIMIT_PX, outlier_limit, require_board
 from calib.images.mrcal_process import MIN_CORNERS
 from calib.images.pairs import half_turn_looks_same, single_view_pose
 from calib.images.poses import pose_matrix, pose_vector, rotation
-from calib.images.sweep_model import AXIS, ENCODER, SweepProblem, blocks_of, residuals_of
+from calib.images.sweep_model import (
+    AXIS,
+    ENCODER,
+    SweepProblem,
+    blocks_of,
+    image_clusters,
+    residuals_of,
+)
 from calib.images.types import Board, Corners
 
 MIN_READINGS = 3
@@ -29,11 +36,15 @@ SIGN_RATIO = 3.0
 MEASURED_SHARE = 0.5
 """An encoder term counts as measured when the sweep narrows its prior to this share or less."""
 
+FOOT_STD_MM = 200.0
+"""C2 is mounted within a hand's breadth of its yaw axis. A sweep of 20 degrees tells 400 times
+better; one of a degree cannot tell a distant axis from a turn the other way."""
+
 START_SIGMA_PX = 0.1
 """Corner noise assumed before the residuals tell."""
 
 HELD = 1e-4
-"""Factor on the priors of the encoder terms that holds them: the images pull with 10^8 px^2."""
+"""Factor on priors that holds their quantities, against images that pull with a cost of 10^8."""
 
 _ROUNDS = 3
 _STARTS = 5
@@ -72,6 +83,10 @@ class SweepSolution:
         With the noise that the residuals tell, outliers left out, and the priors that remain.
     minimum
         The unknowns.
+    spread
+        Their covariance under independent noise, shape (n, n).
+    dispersion
+        How much more the images contradict each other in the axis than that.
     images
         Names of the images used.
     placements
@@ -82,6 +97,8 @@ class SweepSolution:
 
     problem: SweepProblem
     minimum: Minimum
+    spread: FloatArray
+    dispersion: float
     images: tuple[str, ...]
     placements: tuple[str, ...]
     rejected: int
@@ -118,6 +135,7 @@ def solve_sweep(
         intrinsics_root=_root(covariance),
         turn_std_rad=float(np.hypot(readings.resolution_rad / np.sqrt(12), readings.u_alpha2_rad)),
         sigma_px=START_SIGMA_PX,
+        foot_std_mm=FOOT_STD_MM,
         encoder_prior=tuple(
             priors.get(parameter.name, (0.0, parameter.prior_std or np.inf))
             for parameter, _ in ENCODER
@@ -126,8 +144,15 @@ def solve_sweep(
     _check_board(problem, board)
     refined, minimum = _refined(problem, _in_the_right_sense(problem))
     rejected = int(finite(problem.pixels).sum() - finite(refined.pixels).sum())
+    spread = inverse(minimum.normal.matrix)
     return SweepSolution(
-        refined, minimum, tuple(corners.images[i] for i in kept), placements, rejected
+        problem=refined,
+        minimum=minimum,
+        spread=spread,
+        dispersion=dispersion(image_clusters(refined, minimum.x), spread, np.arange(AXIS)),
+        images=tuple(corners.images[i] for i in kept),
+        placements=placements,
+        rejected=rejected,
     )
 
 
@@ -158,10 +183,13 @@ def _root(covariance: FloatArray) -> FloatArray:
 def _in_the_right_sense(problem: SweepProblem) -> FloatArray:
     """Return unknowns at which the images fit, or raise EstimationError if they fit backwards.
 
-    The encoder's terms are held meanwhile: a scale error of -2 is the other sense, too.
+    The encoder's terms and the axis' foot are held meanwhile: a scale error of -2 is the other
+    sense, too, and so is, before one board, an axis twice as far away as the board.
     """
     held = replace(
-        problem, encoder_prior=tuple((mean, HELD * std) for mean, std in problem.encoder_prior)
+        problem,
+        foot_std_mm=HELD * problem.foot_std_mm,
+        encoder_prior=tuple((mean, HELD * std) for mean, std in problem.encoder_prior),
     )
     x, rms = _attempt(held)
     if rms <= RMS_LIMIT_PX:
@@ -223,7 +251,13 @@ def _refined(problem: SweepProblem, x: FloatArray) -> tuple[SweepProblem, Minimu
 
     Encoder terms that the sweep shows lose their priors: what it says of them is then its own.
     """
-    minimum = minimise(partial(blocks_of, problem), x)
+    try:
+        minimum = minimise(partial(blocks_of, problem), x)
+    except EstimationError as error:
+        raise EstimationError(
+            "sweep: no axis fits the images; check that the board stood still within each "
+            f"placement, and the readings ({error})"
+        ) from error
     spread = np.sqrt(np.diag(inverse(minimum.normal.matrix)))[AXIS : AXIS + len(ENCODER)]
     problem = replace(
         problem,

@@ -28,7 +28,7 @@ class Cell:
     numeric
         Whether it is aligned as a number.
     mark
-        "good", "bad" or "quiet"; empty for none.
+        "good", "bad", "caution" or "quiet"; empty for none.
     """
 
     text: Text
@@ -39,12 +39,13 @@ class Cell:
 
 @dataclass(frozen=True)
 class Table:
-    """A table: `head` names the columns, with units."""
+    """A table: `head` names the columns, with units; `sortable` where rows have no order."""
 
     caption: Text
     head: tuple[Text, ...]
     rows: tuple[tuple[Cell, ...], ...]
     note: Text = ""
+    sortable: bool = False
     kind: Literal["table"] = field(default="table", init=False)
 
 
@@ -125,9 +126,7 @@ class Picture:
     kind: Literal["picture"] = field(default="picture", init=False)
 
 
-Block: TypeAlias = (
-    Table | Paragraph | Items | Facts | Tiles | Notice | Command | Picture
-)
+Block: TypeAlias = Table | Paragraph | Items | Facts | Tiles | Notice | Command | Picture
 
 
 @dataclass(frozen=True)
@@ -150,11 +149,19 @@ def words(text: Text, *, mark: str = "") -> Cell:
 
 
 EMPTY = Cell("–", numeric=True, mark="quiet")
-"""A cell without a value."""
+"""A cell without a value in a column of numbers."""
+
+NOTHING = Cell("–", mark="quiet")
+"""A cell without a value in a column of words."""
 
 
 def table(
-    caption: Text, head: Sequence[Text], rows: Sequence[Sequence[Cell]], *, note: Text = ""
+    caption: Text,
+    head: Sequence[Text],
+    rows: Sequence[Sequence[Cell]],
+    *,
+    note: Text = "",
+    sortable: bool = False,
 ) -> Table:
     """Return a table.
 
@@ -165,4 +172,4 @@ def table(
     """
     if any(len(row) != len(head) for row in rows):
         raise ValueError(f"table {caption!r}: a row does not fit its {len(head)} columns")
-    return Table(caption, tuple(head), tuple(map(tuple, rows)), note)
+    return Table(caption, tuple(head), tuple(map(tuple, rows)), note, sortable)

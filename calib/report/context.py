@@ -1,4 +1,4 @@
-"""What the report prints beside the results: where the data come from, what was assumed, by whom."""
+"""What the report prints beside the results: whence the data, what was assumed, by whom."""
 
 from __future__ import annotations
 
@@ -112,7 +112,9 @@ def _statements(dataset: Dataset) -> list[Statement]:
         if np.isfinite(dataset.gaze.x1c).any():
             stated = m.gaze.u_x1c != DEFAULT_U_X1C
             found.append(
-                Statement("u(x1c) of a row", f"{m.gaze.u_x1c:g}", IN_MANIFEST if stated else BY_DEFAULT)
+                Statement(
+                    "u(x1c) of a row", f"{m.gaze.u_x1c:g}", IN_MANIFEST if stated else BY_DEFAULT
+                )
             )
         own = bool(np.isfinite(dataset.gaze.u_z_mm).any())
         found.append(_depth("calibration", m.gaze.u_z_mm, m.gaze.u_z_rel, own=own))

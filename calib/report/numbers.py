@@ -94,9 +94,11 @@ def symbol(name: str) -> Markup:
     if name == LOG_NOISE:
         return Markup("ln <i>s</i>")
     stem, index = _split(PARAMETERS[INDEX[name]].symbol)
-    return Markup("<i>{}</i><sub>{}</sub>").format(stem, index) if index else Markup(
-        "<i>{}</i>"
-    ).format(stem)
+    return (
+        Markup("<i>{}</i><sub>{}</sub>").format(stem, index)
+        if index
+        else Markup("<i>{}</i>").format(stem)
+    )
 
 
 def plain_symbol(name: str) -> str:

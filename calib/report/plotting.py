@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import wraps
-from typing import Any, Concatenate, ParamSpec, TypeAlias, TypeVar
+from typing import Any, ParamSpec, TypeAlias, TypeVar
 
 import matplotlib as mpl
 import numpy as np
@@ -67,7 +67,7 @@ def look(name: str) -> Look:
     return LOOKS.get(name) or _OTHERS[sum(name.encode()) % len(_OTHERS)]
 
 
-_STYLE: Mapping[str, Any] = {
+_STYLE: Any = {
     "font.family": "DejaVu Sans",
     "font.size": 9.0,
     "axes.titlesize": 9.0,
@@ -104,7 +104,9 @@ _STYLE: Mapping[str, Any] = {
 @contextmanager
 def house_style() -> Iterator[None]:
     """Draw and save in house style within this context."""
-    with mpl.rc_context({**mpl.rcParamsDefault, **_STYLE}):
+    with mpl.rc_context():
+        mpl.rcdefaults()
+        mpl.rcParams.update(_STYLE)
         yield
 
 
@@ -226,25 +228,8 @@ def label_rows(axes: Axes, ids: Sequence[str], *, what: str) -> None:
     plain = all(i.isascii() and i.isprintable() and len(i) <= LABEL_LENGTH for i in ids)
     if plain and len(ids) <= MANY_LABELS:
         crowded = sum(map(len, ids)) > 60
-        axes.set_xticks(
-            range(len(ids)), ids, parse_math=False, rotation=90 if crowded else 0
-        )
+        axes.set_xticks(range(len(ids)), ids, parse_math=False, rotation=90 if crowded else 0)
         axes.set_xlabel(what)
     else:
         axes.set_xlabel(f"{what}, by its place in the table, from 0")
     axes.set_xlim(-0.6, len(ids) - 0.4)
-
-
-def refined(count: int, noun: str) -> str:
-    """Return a count with its noun."""
-    return f"{count} {noun}" + ("" if count == 1 else "s")
-
-
-S = TypeVar("S")
-
-
-def drawing_or_none(
-    make: Callable[Concatenate[S, P], Drawing], subject: S | None, *args: P.args, **kwargs: P.kwargs
-) -> Drawing | None:
-    """Return the drawing of a subject, None where there is none."""
-    return None if subject is None else make(subject, *args, **kwargs)

@@ -119,8 +119,17 @@ class PositionUncertainty:
         return r
 
 
-def reading_at(theta: FloatArray, *, z_mm: float, x1c: float, y1c: float = 0.0) -> Reading:
+def reading_at(
+    theta: FloatArray,
+    *,
+    z_mm: float,
+    x1c: float,
+    y1c: float = 0.0,
+    shared: FloatArray | None = None,
+) -> Reading:
     """Return what an instrument with parameters `theta`, shape (COUNT,), reads of a point.
+
+    `shared` holds the loadings of the shared errors on the reading, shape (4, m).
 
     Raises
     ------
@@ -128,7 +137,7 @@ def reading_at(theta: FloatArray, *, z_mm: float, x1c: float, y1c: float = 0.0) 
         If C2 cannot gaze at the point.
     """
     gaze = gaze_at(theta, np.array([[x1c * z_mm, y1c * z_mm, z_mm]]))
-    return Reading(x1c, y1c, float(gaze.alpha2[0]))
+    return Reading(x1c, y1c, float(gaze.alpha2[0]), shared=shared)
 
 
 def depth_budget(instrument: Instrument, reading: Reading) -> Budget:
@@ -178,7 +187,9 @@ def depth_uncertainty(
     factor = NORMAL_FACTOR if table.coverage_factor is None else table.coverage_factor
     half = factor * table.standard_uncertainty
     linear = Interval(table.estimate - half, table.estimate + half)
-    draws = depth_draws(instrument, reading, rng, digits=digits, linear=linear)
+    # Without a coverage factor the linear interval is not stated: no trials to decide a close call.
+    judged = None if table.coverage_factor is None else linear
+    draws = depth_draws(instrument, reading, rng, digits=digits, linear=judged)
     monte_carlo = draws.summary()
     verdict = validate(
         monte_carlo,

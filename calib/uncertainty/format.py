@@ -102,8 +102,15 @@ def at_place(value: float, *, uncertainty: float) -> str:
 
 def upwards(number: float, *, digits: int = DIGITS) -> str:
     """Return a positive bound with so many significant digits, rounded up."""
-    place = _decimal(number).adjusted() - digits + 1
-    return _at(number, place, ROUND_UP)
+    exact = _decimal(number)
+    place = exact.adjusted() - digits + 1
+    rounded = exact.quantize(Decimal(1).scaleb(place), ROUND_UP)
+    return _at(number, place + (rounded.adjusted() - exact.adjusted()), ROUND_UP)
+
+
+def plain(number: float) -> str:
+    """Return a number that was given, not measured, without padding: 45, 21.3, 485.9."""
+    return _plain(Decimal(f"{number:.6g}"))
 
 
 def significant(number: float, *, digits: int = 3) -> str:

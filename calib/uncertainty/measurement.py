@@ -115,6 +115,9 @@ class Reading:
         Encoder reading and gaze residual, rad.
     shared
         Loadings of the shared errors on the four, shape (4, m); None without shared errors.
+    depth_from
+        Another reading whose depth this point has, such as that of its board's centre; None if it
+        was gazed at itself. Points of one board must name one and the same reading.
     """
 
     x1c: float
@@ -122,6 +125,7 @@ class Reading:
     alpha2_rad: float
     gaze_residual_rad: float = 0.0
     shared: FloatArray | None = None
+    depth_from: Reading | None = None
 
     @property
     def values(self) -> FloatArray:

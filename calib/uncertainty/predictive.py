@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from calib.arrays import BoolArray, FloatArray
 from calib.geometry.parameters import INDEX, embed
-from calib.geometry.plane import Gaze
+from calib.geometry.plane import Gaze, drawn_planes
 from calib.uncertainty.measurement import Instrument
 from calib.uncertainty.montecarlo import NORMAL_FACTOR, numerical_tolerance
-from calib.uncertainty.position import READINGS, position_jacobian, positions
+from calib.uncertainty.position import READINGS, position_jacobian
 
 DRAWS = 16_000
 """Trials a reading: the ends of a 95 % interval are then known to 2 % of u."""
@@ -70,16 +71,8 @@ def predict_depths(
     loadings
         Shared errors' effect on the readings, shape (n, 4, m); None without shared errors.
     """
-    n = len(gaze)
-    m = 0 if instrument.shared is None else len(instrument.shared.names)
-    loadings = np.zeros((n, READINGS, m)) if loadings is None else loadings
-    nominal = np.stack([gaze.x1c, gaze.y1c, gaze.alpha2, gaze.residual], axis=1)
-    count = int(np.clip(CHUNK_ELEMENTS // max(n, 1), FEW, DRAWS))
-    thetas, shared, errors = _draws(instrument, rng, count)
-    intervals = np.empty((n, 3))
-    for i in range(n):
-        values = nominal[i] + errors + shared @ loadings[i].T
-        z = positions(thetas, Gaze(*values.T))[:, 2]
+    intervals = np.empty((len(gaze), 3))
+    for i, z in enumerate(depth_draws(instrument, gaze, rng, loadings=loadings)):
         spread = float(z.std()) if np.isfinite(z).all() else np.inf
         # An infinite end is an answer: interpolation between two infinities is not.
         low, high = np.quantile(z, [0.025, 0.975], method="inverted_cdf")
@@ -94,6 +87,31 @@ def predict_depths(
         gum_u_mm=u,
         gum_valid=_validated(z, u, intervals[:, 1:]),
     )
+
+
+def depth_draws(
+    instrument: Instrument,
+    gaze: Gaze,
+    rng: np.random.Generator,
+    *,
+    loadings: FloatArray | None = None,
+) -> Iterator[FloatArray]:
+    """Yield draws of the predictive distribution of depth, mm, shape (t,), of each gaze.
+
+    Infinite where the drawn ray does not meet the drawn plane in front of C1. Parameters as
+    `predict_depths`.
+    """
+    n = len(gaze)
+    m = 0 if instrument.shared is None else len(instrument.shared.names)
+    loadings = np.zeros((n, READINGS, m)) if loadings is None else loadings
+    nominal = np.stack([gaze.x1c, gaze.y1c, gaze.alpha2, gaze.residual], axis=1)
+    count = int(np.clip(CHUNK_ELEMENTS // max(n, 1), FEW, DRAWS))
+    thetas, shared, errors = _draws(instrument, rng, count)
+    planes = drawn_planes(thetas)
+    for i in range(n):
+        values = nominal[i] + errors + shared @ loadings[i].T
+        z = planes.depth(Gaze(*values.T))
+        yield np.where(z > 0, z, np.inf)
 
 
 def _draws(

@@ -1,0 +1,344 @@
+"""Stage: the intrinsics of one camera by both backends, and the one to use."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calib.arrays import BoolArray, FloatArray
+from calib.errors import EstimationError, InputError
+from calib.gates import Gate
+from calib.geometry.camera import Camera
+from calib.images.bundle import bowed
+from calib.images.detect_grid import seen
+from calib.images.intrinsics_covariance import view_scores
+from calib.images.intrinsics_gates import (
+    intrinsics_gates,
+    intrinsics_warnings,
+    orientation_fault,
+)
+from calib.images.intrinsics_maps import (
+    GRID,
+    Coverage,
+    LensDifference,
+    LensMap,
+    LensRays,
+    compare,
+    covered_nodes,
+    map_uncertainty,
+    measure_coverage,
+    nodes,
+    rays_of,
+)
+from calib.images.intrinsics_mrcal import MrcalFits, fit_mrcal
+from calib.images.intrinsics_opencv import LENSES, fit_opencv
+from calib.images.intrinsics_validate import CrossValidation, cross_validate
+from calib.images.mrcal_process import MIN_CORNERS, focal_start
+from calib.images.pairs import single_view_pose
+from calib.images.types import Board, Corners, LensFit
+
+MIN_VIEWS = 6
+"""Views needed: three leave nine or more intrinsics without a check, and cross-validation wants to
+leave some out."""
+
+ON_SOLVED_BOARD = " on mrcal's board"
+"""Added to the lens model of OpenCV's fits to the board as mrcal solved it."""
+
+
+@dataclass(frozen=True)
+class Intrinsics:
+    """Intrinsics of one camera.
+
+    Parameters
+    ----------
+    name
+        Of the camera, as in the manifest.
+    selected
+        The fit to use.
+    covariance
+        Of its fx, fy, cx, cy and distortion, px and 1, shape (4 + k, 4 + k): that of the fit times
+        `dispersion`.
+    dispersion
+        Variance of the estimate as the views show it over that which independent corner noise
+        explains; 1 where they show less.
+    alternatives
+        The other fits: both backends, all lens models.
+    selection
+        The rule's reasons.
+    images
+        One a view.
+    rejected_views
+        Images in which a board was found that the selected fit does not use.
+    detectors
+        Views by detector.
+    coverage, uncertainty
+        Maps over the imager.
+    differences
+        To other lens models and the other backend.
+    validation
+        Leave-views-out cross-validation.
+    model_files
+        Text of mrcal's ``.cameramodel`` of its fits by lens model, with the solve's inputs.
+    mrcal_version
+        None without mrcal.
+    gates, warnings
+        What must hold, and what else the reader should know.
+    """
+
+    name: str
+    selected: LensFit
+    covariance: FloatArray
+    dispersion: float
+    alternatives: tuple[LensFit, ...]
+    selection: str
+    images: tuple[str, ...]
+    rejected_views: tuple[str, ...]
+    detectors: Mapping[str, int]
+    coverage: Coverage
+    uncertainty: LensMap
+    differences: tuple[LensDifference, ...]
+    validation: CrossValidation
+    model_files: Mapping[str, str]
+    mrcal_version: str | None
+    gates: tuple[Gate, ...]
+    warnings: tuple[str, ...]
+
+    @property
+    def camera(self) -> Camera:
+        """The camera to use."""
+        return self.selected.camera
+
+
+def calibrate_intrinsics(corners: Corners, board: Board, *, camera: str, seed: int) -> Intrinsics:
+    """Return the intrinsics of one camera from views of a board.
+
+    The rule: the lens model is the simplest unless a larger one predicts left-out views better
+    beyond doubt (`select_lens`); of its two fits mrcal's is used where there is one, as it solves
+    the bow of the board too, and OpenCV's otherwise.
+
+    Parameters
+    ----------
+    camera
+        Name of the camera, for messages and gates.
+    seed
+        Of mrcal's random numbers.
+
+    Raises
+    ------
+    InputError
+        If fewer than `MIN_VIEWS` different views show the board.
+    EstimationError
+        If no backend finds a solution.
+    """
+    corners, repeated = _distinct(corners)
+    _require_views(corners, camera)
+    try:
+        backends = _solve(corners, board, seed)
+    except EstimationError as error:
+        raise EstimationError(_diagnosis(corners, board, camera, error)) from error
+    points = bowed(board.object_points(), backends.warp_mm)
+    validation = cross_validate(corners, board, backends.checked, points=points)
+    return _assemble(corners, points, backends, validation, camera=camera, repeated=repeated)
+
+
+@dataclass(frozen=True)
+class _Backends:
+    """Fits by lens model.
+
+    `flat` are OpenCV's fits to the board as drawn, `checked` to the board as mrcal solved it (the
+    same without mrcal); `warp_mm` is that board's bow; `failed` says which larger lens models the
+    views do not determine.
+    """
+
+    flat: Mapping[str, LensFit]
+    checked: Mapping[str, LensFit]
+    mrcal: MrcalFits
+    warp_mm: tuple[float, float] | None
+    failed: tuple[str, ...]
+
+
+def _solve(corners: Corners, board: Board, seed: int) -> _Backends:
+    """Solve with OpenCV, then with mrcal without the views that OpenCV found to be wrong.
+
+    A view that mrcal discards corner by corner, to the last, leaves its pose open and the solve
+    without a covariance.
+    """
+    flat, failed = _fit_lenses(corners, board, {}, board.object_points())
+    simplest = flat.get(next(iter(LENSES)))
+    if simplest is None:
+        raise EstimationError("; ".join(failed))
+    unused = seen(corners.pixels) & ~_views_of(simplest)[:, None]
+    kept = replace(corners, pixels=np.where(unused[..., None], np.nan, corners.pixels))
+    mrcal = fit_mrcal(kept, board, lenses=LENSES, seed=seed, grid=GRID)
+    mrcal = replace(
+        mrcal,
+        fits={
+            lens: replace(fit, rejected=fit.rejected + int(unused.sum()))
+            for lens, fit in mrcal.fits.items()
+        },
+    )
+    warp = next((fit.board_warp_mm for fit in mrcal.fits.values()), None)
+    if warp is None:
+        return _Backends(flat, flat, mrcal, None, failed)
+    checked, failed = _fit_lenses(corners, board, flat, bowed(board.object_points(), warp))
+    return _Backends(flat, checked or flat, mrcal, warp, failed)
+
+
+def _views_of(fit: LensFit) -> BoolArray:
+    """Return which views a fit uses, shape (views,)."""
+    return np.asarray(np.isfinite(fit.residuals).any(axis=(1, 2)))
+
+
+def _fit_lenses(
+    corners: Corners, board: Board, start: Mapping[str, LensFit], points: FloatArray
+) -> tuple[dict[str, LensFit], tuple[str, ...]]:
+    """Return OpenCV's fits by lens model, and why others failed."""
+    fits, failed = {}, []
+    for lens in LENSES:
+        begin = start[lens].camera if lens in start else None
+        try:
+            fits[lens] = fit_opencv(corners, board, lens=lens, points=points, start=begin)
+        except EstimationError as error:
+            failed.append(f"{lens}: {error}")
+    return fits, tuple(failed)
+
+
+def _distinct(corners: Corners) -> tuple[Corners, tuple[str, ...]]:
+    """Blank out views that repeat an earlier one corner for corner; return their images too."""
+    first: dict[bytes, int] = {}
+    repeated = []
+    for i, view in enumerate(corners.pixels):
+        if seen(view).any() and first.setdefault(view.tobytes(), i) != i:
+            repeated.append(i)
+    pixels = corners.pixels.copy()
+    pixels[repeated] = np.nan
+    return replace(corners, pixels=pixels), tuple(corners.images[i] for i in repeated)
+
+
+def _require_views(corners: Corners, camera: str) -> None:
+    usable = int((seen(corners.pixels).sum(axis=-1) >= MIN_CORNERS).sum())
+    if usable < MIN_VIEWS:
+        raise InputError.single(
+            where=f"dataset.toml, [cameras.{camera}], images",
+            what=f"the board is found, with {MIN_CORNERS} corners or more, in {usable} different "
+            f"views of {len(corners.images)}, and {MIN_VIEWS} are needed",
+            remedy="add sharp pictures of the whole board, and check columns and rows of [board]",
+        )
+
+
+def _diagnosis(corners: Corners, board: Board, camera: str, error: EstimationError) -> str:
+    """Say why no solution was found: from poses under the first guess of the focal length."""
+    focal = focal_start(corners, board)
+    middle = (np.array(corners.image_size) - 1) / 2
+    guess = Camera(
+        np.array([[focal, 0, middle[0]], [0, focal, middle[1]], [0, 0, 1]]),
+        np.zeros(0),
+        corners.image_size,
+    )
+    views = [view for view in corners.pixels if seen(view).sum() >= MIN_CORNERS]
+    points = board.object_points()
+    poses = [single_view_pose(guess, points=points, pixels=view)[0] for view in views]
+    fault = orientation_fault(np.stack(poses))
+    why = f"{fault}: take pictures with other tilts; " if fault else ""
+    return f"intrinsics of {camera}: {why}{error}"
+
+
+def _assemble(
+    corners: Corners,
+    points: FloatArray,
+    backends: _Backends,
+    validation: CrossValidation,
+    *,
+    camera: str,
+    repeated: tuple[str, ...],
+) -> Intrinsics:
+    """Select a fit and judge it."""
+    lens, mrcal = validation.chosen, backends.mrcal
+    checked = backends.checked[lens]
+    selected = mrcal.fits.get(lens, checked)
+    scores = view_scores(selected.camera, selected.poses, selected.residuals, points)
+    dispersion = max(1.0, scores.dispersion())
+    covariance = selected.covariance * dispersion
+    inliers = np.where(np.isfinite(selected.residuals), corners.pixels, np.nan)
+    grid = nodes(corners.image_size)
+    covered = covered_nodes(grid, inliers, corners.image_size)
+    coverage = measure_coverage(inliers, corners.image_size)
+
+    def difference(other: LensRays) -> LensDifference:
+        return compare(selected, other, grid, covered)
+
+    agreement = None
+    if selected.backend == "mrcal":
+        shaped = replace(checked, lens_model=checked.lens_model + ON_SOLVED_BOARD)
+        agreement = difference(rays_of(shaped, grid, covered))
+    splined = None
+    if mrcal.splined is not None:
+        spline = LensRays("mrcal splined", mrcal.splined.rays, mrcal.splined.std_px)
+        splined = difference(spline)
+    alternatives = tuple(
+        fit for fit in (*backends.flat.values(), *mrcal.fits.values()) if fit is not selected
+    )
+    differences = [difference(rays_of(fit, grid, covered)) for fit in alternatives]
+    found = seen(corners.pixels).any(axis=-1)
+    unused = found & ~_views_of(selected)
+    return Intrinsics(
+        name=camera,
+        selected=selected,
+        covariance=covariance,
+        dispersion=dispersion,
+        alternatives=alternatives,
+        selection=_selection(selected, validation, backends),
+        images=corners.images,
+        rejected_views=tuple(corners.images[i] for i in np.flatnonzero(unused)),
+        detectors=dict(Counter(corners.detector)),
+        coverage=coverage,
+        uncertainty=map_uncertainty(replace(selected, covariance=covariance), grid, covered),
+        differences=tuple(d for d in (agreement, splined, *differences) if d is not None),
+        validation=validation,
+        model_files=mrcal.model_files,
+        mrcal_version=None if mrcal.missing else mrcal.version,
+        gates=intrinsics_gates(
+            camera, selected, covariance, coverage, validation, agreement=agreement
+        ),
+        warnings=(
+            *_picture_warnings(camera, corners, repeated),
+            *_backend_warnings(camera, mrcal),
+            *intrinsics_warnings(camera, dispersion=dispersion, splined=splined),
+        ),
+    )
+
+
+def _selection(selected: LensFit, validation: CrossValidation, backends: _Backends) -> str:
+    """Say which fit was selected and why."""
+    mrcal = backends.mrcal
+    if selected.backend == "mrcal":
+        backend = "mrcal, which solves the bow of the board too"
+    else:
+        backend = "OpenCV, " + ("alone here" if mrcal.missing else "as mrcal found no solution")
+    return "; ".join([validation.reason, *backends.failed, f"by {backend}"])
+
+
+def _picture_warnings(camera: str, corners: Corners, repeated: tuple[str, ...]) -> tuple[str, ...]:
+    """Say what became of pictures that are not used."""
+    warnings = []
+    missed = [
+        name for name, who in zip(corners.images, corners.detector, strict=True) if who == "none"
+    ]
+    if missed:
+        warnings.append(
+            f"{camera}: no board found in {len(missed)} of {len(corners.images)} intrinsic images "
+            f"({', '.join(missed)})"
+        )
+    if repeated:
+        warnings.append(f"{camera}: repeats of other images are not used: {', '.join(repeated)}")
+    return tuple(warnings)
+
+
+def _backend_warnings(camera: str, mrcal: MrcalFits) -> tuple[str, ...]:
+    """Say which solves are missing."""
+    if mrcal.missing:
+        return (f"{camera}: {mrcal.missing}",)
+    return tuple(f"{camera}: mrcal, {lens}: {why}" for lens, why in mrcal.failed.items())

@@ -1,0 +1,23 @@
+"""All that the image half of the chain found out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from calib.images.intrinsics import Intrinsics
+from calib.images.stages import ContactSheet
+from calib.images.stereo import StereoReference
+from calib.images.sweep import SweepResult
+from calib.images.types import Corners
+
+
+@dataclass(frozen=True)
+class ImageResult:
+    """Results by camera, "c1" and "c2"; empty or None where the dataset has no data for them."""
+
+    corners: Mapping[str, Corners]
+    sheets: Mapping[str, ContactSheet]
+    intrinsics: Mapping[str, Intrinsics]
+    stereo: StereoReference | None
+    sweep: SweepResult | None

@@ -1,0 +1,145 @@
+"""Stage: what the images say of the rows of a table: target pixels, reference depths."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.arrays import FloatArray
+from calib.dataset.tables import GazeTable
+from calib.errors import EstimationError, InputError, Problem
+from calib.images.detect_grid import orient_like
+from calib.images.stereo import StereoReference
+from calib.images.stereo_solve import CameraPair
+from calib.images.triangulate import shared_names
+from calib.images.types import Board, Corners
+from calib.observe import U_PIXEL, Shared, Sightings
+
+
+@dataclass(frozen=True)
+class CornerNoise:
+    """Standard deviation of a corner coordinate of C1 and of C2, px."""
+
+    c1_px: float = U_PIXEL
+    c2_px: float = U_PIXEL
+
+
+def pick(corners: Corners, images: tuple[str, ...]) -> Corners:
+    """Return the views of the images named, in that order."""
+    place = {name: i for i, name in enumerate(corners.images)}
+    index = [place[name] for name in images]
+    return Corners(
+        images=images,
+        pixels=corners.pixels[index],
+        detector=tuple(corners.detector[i] for i in index),
+        image_size=corners.image_size,
+    )
+
+
+def shared_errors(rig: CameraPair, stereo: StereoReference | None) -> Shared:
+    """Return what all rows share: C1's and C2's intrinsics and, with stereo, 1T2."""
+    if stereo is not None:
+        targets = stereo.targets
+        return Shared.of(targets.shared_names, targets.shared_covariance)
+    names = shared_names(rig.cameras)
+    covariance = np.zeros((len(names), len(names)))
+    edge = 0
+    for block in rig.covariances:
+        covariance[edge : edge + len(block), edge : edge + len(block)] = block
+        edge += len(block)
+    return Shared.of(names, covariance)
+
+
+def sight(
+    table: GazeTable,
+    board: Board,
+    corners_c1: Corners | None,
+    corners_c2: Corners | None,
+    stereo: StereoReference | None,
+    shared: Shared,
+    noise: CornerNoise,
+) -> Sightings:
+    """Return what the images of a table's rows say.
+
+    Parameters
+    ----------
+    corners_c1, corners_c2
+        Boards found in the images the rows name; None if they name none.
+
+    Raises
+    ------
+    InputError
+        If the board was not found in an image that a row names, or its target corner is hidden.
+    EstimationError
+        If a row takes its depth from a pair that gave none.
+    """
+    views_c1 = _views(table.image_c1, corners_c1, board)
+    views_c2 = _views(table.image_c2, corners_c2, board)
+    views_c2 = orient_like(views_c1, views_c2, board)
+    pixel_c1, pixel_c2 = views_c1[:, board.target_index], views_c2[:, board.target_index]
+    _refuse_missing(table, table.image_c1, pixel_c1)
+    _refuse_missing(table, table.image_c2, pixel_c2)
+    z, u_z, by_common = _depths(table, stereo, shared)
+    return Sightings(
+        pixel_c1=pixel_c1,
+        pixel_c2=pixel_c2,
+        u_c1_px=noise.c1_px,
+        u_c2_px=noise.c2_px,
+        z_mm=z,
+        u_z_mm=u_z,
+        z_by_common=by_common,
+    )
+
+
+def _views(names: tuple[str | None, ...], corners: Corners | None, board: Board) -> FloatArray:
+    """Return the board's corners in each row's image, (n, corners, 2); NaN without image."""
+    views = np.full((len(names), board.corner_count, 2), np.nan)
+    if corners is not None:
+        place = {name: i for i, name in enumerate(corners.images)}
+        for i, name in enumerate(names):
+            if name is not None:
+                views[i] = corners.pixels[place[name]]
+    return views
+
+
+def _refuse_missing(table: GazeTable, names: tuple[str | None, ...], pixels: FloatArray) -> None:
+    problems = [
+        Problem(
+            where=f"{table.file}, line {table.line[i]} (id {table.ids[i]})",
+            what=f"the board, or its target corner, was not found in {name}",
+            remedy="look at the picture: the whole board in view, sharp and evenly lit; check the "
+            "counts of [board]; or leave the row out",
+        )
+        for i, name in enumerate(names)
+        if name is not None and not np.isfinite(pixels[i]).all()
+    ]
+    if problems:
+        raise InputError(problems)
+
+
+def _depths(
+    table: GazeTable, stereo: StereoReference | None, shared: Shared
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return reference depths, their own standard uncertainty and shared loadings."""
+    n = len(table)
+    z, u = np.full(n, np.nan), np.full(n, np.nan)
+    by_common = np.zeros((n, shared.factor.shape[1]))
+    if stereo is None:
+        return z, u, by_common
+    targets = stereo.targets
+    place = {stem: i for i, stem in enumerate(targets.stems)}
+    kept = [targets.shared_names.index(name) for name in shared.names]
+    for i, stem in enumerate(table.stereo):
+        if stem is None:
+            continue
+        if stem not in place:
+            raise EstimationError(
+                f"{table.file}, line {table.line[i]} (id {table.ids[i]}): pair {stem} gave no "
+                "position: its board was not found in both images; leave the row out"
+            )
+        k = place[stem]
+        z[i] = targets.triangulated.position_mm[k, 2]
+        u[i] = np.sqrt(targets.triangulated.covariance[k, 2, 2])
+        by_common[i] = targets.triangulated.by_shared[k, 2, kept] @ shared.factor
+    return z, u, by_common

@@ -1,0 +1,77 @@
+"""Models side by side, and the rule that selects one."""
+
+from __future__ import annotations
+
+from markupsafe import Markup
+
+from calib.fit.compare import CLEARLY, NOTICEABLY, ModelScore
+from calib.fit.importance import K_HAT_LIMIT
+from calib.geometry.parameters import MODELS
+from calib.report.blocks import EMPTY, Block, Cell, Items, Paragraph, Section, number, table, words
+from calib.report.context import ReportContext
+from calib.report.numbers import decimals, percent, signed
+from calib.results import Calibration
+from calib.uncertainty.format import fixed
+
+
+def comparison(c: Calibration, _: ReportContext) -> Section | None:
+    """Write the comparison of models."""
+    if c.gaze is None or c.gaze.comparison is None:
+        return None
+    found = c.gaze.comparison
+    heads = (
+        "Model",
+        "Free parameters",
+        "LOO ± standard error",
+        "Stacking weight",
+        "AICc",
+        "BIC",
+        "Depth error of left-out groups / %",
+        "Depth error of validation rows / %",
+        "Largest Pareto k",
+        "Rows refitted",
+    )
+    rows = [_row(score, chosen=score.model == found.selected) for score in found.scores]
+    blocks: list[Block] = [
+        Paragraph(
+            Markup(
+                "<strong>The rule.</strong> Selected is the model with the fewest free parameters "
+                "that predicts left-out rows nearly as well as the best one: its LOO is lower by "
+                "no more than {} standard error of the difference, or by less than {} nats. A "
+                "richer model must earn its parameters. <strong>Here:</strong> {}."
+            ).format(f"{CLEARLY:g}", f"{NOTICEABLY:g}", found.reason)
+        ),
+        table(
+            "Models side by side",
+            heads,
+            rows,
+            note="LOO is the expected log density of the encoder's reading of a row that the fit "
+            "has not seen, summed over rows: higher is better. AICc and BIC: lower is better; no "
+            "AICc where the rows are too few for it. Rows with a Pareto k above "
+            f"{K_HAT_LIMIT:g} are predicted by a refit without them. Depth errors are "
+            "root mean squares.",
+            sortable=True,
+        ),
+    ]
+    if c.gaze.refused:
+        blocks += [
+            Paragraph(Markup("<strong>Not fitted</strong>")),
+            Items(tuple(f"{name}: {reason}" for name, reason in c.gaze.refused.items())),
+        ]
+    return Section("comparison", "Comparison of the models", tuple(blocks))
+
+
+def _row(s: ModelScore, *, chosen: bool) -> tuple[Cell, ...]:
+    free = MODELS[s.model].free
+    return (
+        words(f"{s.model} (selected)" if chosen else s.model, mark="good" if chosen else ""),
+        number(str(len(free)), len(free)),
+        number(f"{signed(fixed(s.loo, 1))} ± {fixed(s.loo_se, 1)}", s.loo),
+        decimals(s.weight, 2),
+        EMPTY if s.aicc is None else decimals(s.aicc, 1),
+        decimals(s.bic, 1),
+        percent(s.cv_depth_rms_rel),
+        percent(s.validation_depth_rms_rel),
+        decimals(float(s.pareto_k.max()), 2),
+        words(", ".join(s.refitted[:10]) + (" …" if len(s.refitted) > 10 else "") or "none"),
+    )

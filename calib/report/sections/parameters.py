@@ -1,0 +1,200 @@
+"""The parameters of each model: estimate, uncertainty, and who decided it."""
+
+from __future__ import annotations
+
+import numpy as np
+from markupsafe import Markup
+
+from calib.fit.posterior import Posterior
+from calib.fit.robust import RobustFit
+from calib.geometry.parameters import INDEX, PARAMETERS
+from calib.report.blocks import (
+    EMPTY,
+    NOTHING,
+    Block,
+    Cell,
+    Paragraph,
+    Section,
+    Table,
+    Text,
+    table,
+    words,
+)
+from calib.report.context import ReportContext
+from calib.report.figures.parameters import Estimate, draw_estimates
+from calib.report.numbers import (
+    EFFECTIVE,
+    LOG_NOISE,
+    bounds,
+    estimate,
+    factor,
+    meaning,
+    plus_minus,
+    symbol,
+    unit,
+)
+from calib.report.plotting import picture
+from calib.report.sections.pick import selected
+from calib.results import Calibration, GazeResult, effective_baseline
+
+WHO = {"data": "the data", "prior": "the prior", "both": "data and prior"}
+
+
+def parameters(c: Calibration, context: ReportContext) -> Section | None:
+    """Write the parameters of each model."""
+    if c.gaze is None or not c.gaze.posterior:
+        return None
+    gaze = c.gaze
+    blocks: list[Block] = [
+        Paragraph(
+            Markup(
+                "All models are one formula with more or fewer parameters free: "
+                "<i>z</i> (x1c + cot <i>α</i>) = <i>L</i><sub>b</sub> + <i>Z</i><sub>a</sub> "
+                "cot <i>α</i> + <i>e</i> / sin <i>α</i>, with <i>α</i> = α2 + "
+                "<i>δ</i><sub>2</sub> for an upright axis and a perfect encoder. The paper's "
+                "model, <em>base</em>, frees <i>L</i><sub>b</sub> and <i>δ</i><sub>2</sub> only. "
+                "Estimates are means of the posterior, ± its standard deviation, which is the "
+                "standard uncertainty u."
+            )
+        )
+    ]
+    ordered = sorted(gaze.posterior.values(), key=lambda p: p.model != selected(gaze))
+    blocks += [_model(gaze, p, context) for p in ordered]
+    blocks += [
+        Paragraph(
+            Markup(
+                "Seen near 90°, <i>e</i> / sin <i>α</i> hardly changes: <i>L</i><sub>b</sub> and "
+                "<i>e</i> can then be told apart only by a wide sweep or by prior knowledge. Their "
+                "sum, the baseline seen at 90°, is well determined and is what compares with the "
+                "paper's <i>L</i><sub>b</sub>. A parameter counts as decided by the data if the "
+                "priors take less than a quarter off its standard uncertainty, as decided by the "
+                "prior if they take more than three quarters."
+            )
+        ),
+        picture(
+            "estimates",
+            draw_estimates(estimates(gaze)),
+            "Baseline seen at 90° and encoder zero by every fit; bars are 95 % intervals, hollow "
+            "marks the posterior, which should repeat the robust fit of its model. Models whose "
+            "intervals exclude each other cannot both be right; a wide bar is a model that has to "
+            "call its misfit noise.",
+        ),
+    ]
+    return Section("parameters", "Parameters", tuple(blocks))
+
+
+def _model(gaze: GazeResult, posterior: Posterior, context: ReportContext) -> Table:
+    fit = gaze.robust[posterior.model]
+    rows = [_row(posterior, fit, i, context) for i in range(len(fit.names))]
+    found = effective_baseline(fit.names, posterior.mean[:-1], posterior.covariance[:-1, :-1])
+    if found is not None:
+        rows.append(
+            (
+                words(symbol(EFFECTIVE)),
+                words(meaning(EFFECTIVE)),
+                estimate(*found),
+                words("mm"),
+                EMPTY,
+                words("derived", mark="quiet"),
+                NOTHING,
+            )
+        )
+    rows.append(_noise(posterior, context))
+    chosen = ", selected" if posterior.model == selected(gaze) else ""
+    return table(
+        Markup("Model <em>{}</em>{}").format(posterior.model, chosen),
+        ("Symbol", "Meaning", "Estimate ± u", "Unit", "95 % interval", "Decided by", "Prior"),
+        rows,
+        note=_tied(fit),
+    )
+
+
+def _tied(fit: RobustFit) -> Text:
+    """Return a note on parameters that the priors of others decided."""
+    tied = [
+        symbol(name)
+        for name, who in zip(fit.names, fit.identified_by, strict=True)
+        if who != "data" and PARAMETERS[INDEX[name]].prior_std is None
+    ]
+    if not tied:
+        return ""
+    return Markup(
+        "{} has no prior of its own: the rows tie it to parameters that the prior decides."
+    ).format(Markup(", ").join(tied))
+
+
+def _row(posterior: Posterior, fit: RobustFit, i: int, context: ReportContext) -> tuple[Cell, ...]:
+    name, times = fit.names[i], factor(fit.names[i])
+    low, _, high = posterior.quantiles[i]
+    u = float(np.sqrt(posterior.covariance[i, i]))
+    who = fit.identified_by[i]
+    return (
+        words(symbol(name)),
+        words(meaning(name)),
+        estimate(posterior.mean[i], u, factor=times),
+        words(unit(name)),
+        bounds(low, high, u, factor=times),
+        words(WHO[who], mark="bad" if who == "prior" else ""),
+        words(_prior(name, context)),
+    )
+
+
+def _noise(posterior: Posterior, context: ReportContext) -> tuple[Cell, ...]:
+    low, _, high = posterior.quantiles[-1]
+    u = float(np.sqrt(posterior.covariance[-1, -1]))
+    mean, std = context.priors.noise_scale
+    return (
+        words(symbol(LOG_NOISE)),
+        words(meaning(LOG_NOISE)),
+        estimate(posterior.mean[-1], u),
+        words(""),
+        bounds(low, high, u),
+        NOTHING,
+        words(f"{plus_minus(mean, std)}{_origin(LOG_NOISE, context)}"),
+    )
+
+
+def _prior(name: str, context: ReportContext) -> str:
+    """Return the prior and measured knowledge of a parameter in words."""
+    measured = context.priors.measured
+    known = " and measured by the sweep" if measured and name in measured.names else ""
+    stated = context.priors.stated.get(name)
+    std = PARAMETERS[INDEX[name]].prior_std
+    if stated is not None:
+        text = plus_minus(*stated, factor=factor(name))
+    elif std is not None:
+        text = plus_minus(0.0, std, factor=factor(name))
+    else:
+        return f"none{known}"
+    return f"{text} {unit(name)}".rstrip() + _origin(name, context) + known
+
+
+def _origin(name: str, context: ReportContext) -> str:
+    return " (dataset.toml)" if name in context.priors.stated else " (default)"
+
+
+def estimates(gaze: GazeResult) -> list[Estimate]:
+    """Return baseline and encoder zero of every fit."""
+    found = []
+    if gaze.linear is not None:
+        found.append(_estimate("base/linear", gaze.linear.values, gaze.linear.covariance))
+    if gaze.convex is not None:
+        found.append(_estimate("base/convex", gaze.convex.values, gaze.convex.covariance))
+    for model, fit in gaze.robust.items():
+        p = gaze.posterior[model]
+        names, free = fit.names, slice(0, len(fit.names))
+        found.append(_estimate(f"{model}/robust", fit.values, fit.covariance, names))
+        found.append(_estimate(f"{model}/posterior", p.mean[free], p.covariance[free, free], names))
+    return found
+
+
+def _estimate(
+    fit: str,
+    values: np.ndarray,
+    covariance: np.ndarray,
+    names: tuple[str, ...] = ("baseline_mm", "delta2_rad"),
+) -> Estimate:
+    effective = effective_baseline(names, values, covariance)
+    std = 1e3 * float(np.sqrt(covariance[1, 1]))
+    baseline = effective or (float(values[0]), float(np.sqrt(covariance[0, 0])))
+    return Estimate(fit, baseline, (1e3 * float(values[1]), std))

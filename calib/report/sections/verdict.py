@@ -1,0 +1,176 @@
+"""The verdict: whether the result may be used, for what, and what its user must know."""
+
+from __future__ import annotations
+
+import numpy as np
+from markupsafe import Markup
+
+from calib.report.blocks import (
+    Block,
+    Command,
+    Items,
+    Notice,
+    Paragraph,
+    Section,
+    Text,
+    Tiles,
+    table,
+    words,
+)
+from calib.report.context import ReportContext
+from calib.report.numbers import EFFECTIVE, factor, plus_minus, signed, symbol, unit
+from calib.report.sections.pick import chosen_fit
+from calib.results import Calibration, GazeResult, effective_baseline
+from calib.uncertainty.format import significant
+
+
+def verdict(c: Calibration, context: ReportContext) -> Section:
+    """Write the verdict."""
+    blocks: list[Block] = [_banner(c), *_failures(c)]
+    if c.gaze is not None:
+        blocks += _gaze(c.gaze, context)
+    if c.warnings:
+        blocks += [
+            Paragraph(Markup("<strong>To bear in mind</strong>")),
+            Items(tuple(c.warnings)),
+        ]
+    if c.gaze is not None and c.gaze.calibrated is not None:
+        blocks += _use(c.gaze)
+    blocks.append(_gates(c))
+    return Section("verdict", "Verdict", tuple(blocks))
+
+
+def _banner(c: Calibration) -> Notice:
+    failed = sum(not gate.passed for gate in c.gates)
+    if not c.gates:
+        return Notice("note", "Nothing was checked", "The dataset holds nothing to calibrate.")
+    if failed:
+        return Notice(
+            "bad",
+            f"{failed} of {len(c.gates)} checks failed",
+            "Do not use this calibration before they are mended. What follows is written down to "
+            "help with that.",
+        )
+    return Notice(
+        "good",
+        f"All {len(c.gates)} checks passed",
+        "The calibration may be used within the depths and the uncertainties stated here.",
+    )
+
+
+def _failures(c: Calibration) -> list[Block]:
+    return [
+        Notice("bad", f"Failed: {gate.name}", gate.detail) for gate in c.gates if not gate.passed
+    ]
+
+
+def _gaze(gaze: GazeResult, context: ReportContext) -> list[Block]:
+    if gaze.comparison is None:
+        reasons = tuple(f"{name}: {reason}" for name, reason in gaze.refused.items())
+        return [Notice("bad", "No model could be fitted"), Items(reasons)]
+    tiles = [*_parameter_tiles(gaze), *_depth_tiles(gaze), *_validation_tiles(gaze, context)]
+    return [
+        Tiles(tuple(tiles)),
+        Paragraph(
+            Markup("Selected model: <strong>{}</strong>. {}.").format(
+                gaze.comparison.selected, _capital(gaze.comparison.reason)
+            )
+        ),
+    ]
+
+
+def _capital(text: str) -> str:
+    """Return a sentence; names of models keep their small letters."""
+    return text if text.startswith(("base", "axis", "encoder")) else text[:1].upper() + text[1:]
+
+
+def _parameter_tiles(gaze: GazeResult) -> list[tuple[Text, Text, Text]]:
+    fit = chosen_fit(gaze)
+    if fit is None:
+        return []
+    posterior = gaze.posterior[fit.model]
+    mean, covariance = posterior.mean[:-1], posterior.covariance[:-1, :-1]
+    std = np.sqrt(np.diag(covariance))
+    found = effective_baseline(fit.names, mean, covariance)
+    tiles: list[tuple[Text, Text, Text]] = []
+    if found is not None:
+        tiles.append(_tile(EFFECTIVE, *found, "baseline seen at 90°"))
+    for name, value, u in zip(fit.names, mean, std, strict=True):
+        if name in ("baseline_mm", "delta2_rad", "axis_z_mm") and not (
+            name == "baseline_mm" and found is not None
+        ):
+            tiles.append(_tile(name, float(value), float(u), _MEANINGS[name]))
+    return tiles
+
+
+_MEANINGS = {
+    "baseline_mm": "baseline",
+    "delta2_rad": "zero error of the encoder",
+    "axis_z_mm": "yaw axis in front of C1 (behind, if negative)",
+}
+
+
+def _tile(name: str, value: float, u: float, meaning: str) -> tuple[Text, Text, Text]:
+    text = f"{plus_minus(value, u, factor=factor(name))} {unit(name)}"
+    return symbol(name), text, meaning
+
+
+def _depth_tiles(gaze: GazeResult) -> list[tuple[Text, Text, Text]]:
+    """Return the depth uncertainty at both ends of the calibrated depths."""
+    if gaze.depths is None:
+        return []
+    inside = np.flatnonzero(np.asarray(gaze.depths.extrapolated) == 0)
+    if not len(inside):
+        return []
+    tiles: list[tuple[Text, Text, Text]] = []
+    for i in dict.fromkeys((int(inside[0]), int(inside[-1]))):
+        z, u = float(gaze.depths.depth_mm[i]), float(gaze.depths.prediction.u_mm[i])
+        share = f"{significant(100 * u / z, digits=2)} % of depth"
+        tiles.append(
+            (
+                Markup("<i>u</i>(<i>z</i>) at {} mm").format(f"{z:.0f}"),
+                f"{significant(u, digits=2)} mm",
+                share,
+            )
+        )
+    return tiles
+
+
+def _validation_tiles(gaze: GazeResult, context: ReportContext) -> list[tuple[Text, Text, Text]]:
+    if gaze.validation is None:
+        return []
+    first = gaze.validation.errors[0]
+    return [
+        (
+            f"validation against {context.validation_reference or 'reference'}",
+            f"{significant(100 * first.rms_rel, digits=2)} %",
+            f"error of depth, root mean square; mean {signed(f'{100 * first.mean_rel:+.2g}')} %",
+        )
+    ]
+
+
+def _use(gaze: GazeResult) -> list[Block]:
+    assert gaze.calibrated is not None  # noqa: S101 - the caller asked
+    low, high = gaze.calibrated.calibrated_mm
+    return [
+        Paragraph(
+            Markup(
+                "<strong>What to do with it.</strong> The command below turns new readings of the "
+                "same rig into positions with uncertainties. A depth outside {} to {} mm is "
+                "extrapolated."
+            ).format(f"{low:.0f}", f"{high:.0f}")
+        ),
+        Command("calib measure calibration.json readings.csv"),
+    ]
+
+
+def _gates(c: Calibration) -> Block:
+    rows = [
+        (
+            words("passed" if gate.passed else "failed", mark="good" if gate.passed else "bad"),
+            words(gate.name),
+            words(gate.detail),
+        )
+        for gate in c.gates
+    ]
+    return table("Checks", ("Outcome", "Check", "Figures that decided it"), rows, sortable=True)

@@ -1,0 +1,1 @@
+"""Studies: many simulated rigs, calibrated and scored against their truth."""

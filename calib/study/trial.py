@@ -1,0 +1,192 @@
+"""One rig: simulated, calibrated as the chain does it, and set against its truth.
+
+In place of Markov chains the posterior is the importance sample, the chain's own second
+computation; everything else (fits, selection, depth intervals) is the chain's code.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.random import Generator, SeedSequence
+
+from calib.arrays import FloatArray
+from calib.errors import CalibError
+from calib.fit.compare import compare_samples
+from calib.fit.density import log_posterior
+from calib.fit.importance import ImportanceSample, sample_importance
+from calib.fit.linear import fit_bilinear, fit_linear
+from calib.fit.noise import row_noise
+from calib.fit.posterior import laplace
+from calib.fit.priors import prior_of
+from calib.fit.robust import RobustFit, fit_model
+from calib.fit.start import first_guess
+from calib.geometry.parameters import MODELS, Model
+from calib.geometry.plane import OBSERVABLE, closure
+from calib.instrument import CalibratedInstrument, instrument_from_draws, tabulate_depths
+from calib.study.conditions import Condition
+from calib.study.rigs import Bench, set_up
+from calib.uncertainty.predictive import depth_draws, linear_positions
+
+DRAWS = 8000
+"""Draws of equal weight that an instrument gets: the chain stores 16,000, thinned."""
+
+DIGITS = 6
+"""Significant digits of the figures kept."""
+
+Record = dict[str, Any]
+
+
+def run_trial(condition: Condition, *, seed: int, number: int) -> Record:
+    """Return the scores of rig `number`, ready for JSON; they depend on the arguments alone."""
+    record: Record = {"condition": condition.name, "seed": seed, "number": number}
+    try:
+        bench = set_up(condition, seed=seed, number=number)
+        # Streams of their own, beside those that `set_up` spawns.
+        seeds = SeedSequence((seed, number, 1)).spawn(4)
+        scores: Record = _plain(_calibrated(condition, bench, seeds))
+        return record | scores
+    except CalibError as error:
+        return record | {"failed": str(error)}
+
+
+def _calibrated(condition: Condition, bench: Bench, seeds: list[SeedSequence]) -> Record:
+    """Calibrate a bench and score it."""
+    for_sampling, for_comparison, for_depths, for_table = seeds
+    rng = np.random.default_rng(for_sampling)
+    fits, samples = {}, {}
+    for name in condition.fitted:
+        fits[name] = fit_model(bench.rows, bench.priors, model=name)
+        target = log_posterior(bench.rows, MODELS[name], bench.priors, fits[name].theta)
+        samples[name] = sample_importance(target, *laplace(fits[name], target), rng)
+    comparison = compare_samples(bench.rows, fits, samples, bench.priors, seed=for_comparison)
+    selected = comparison.selected
+    fit, sample = fits[selected], samples[selected]
+    draws = with_shared(sample.equally_weighted(DRAWS, rng), fit, rng)
+    calibrated = instrument_from_draws(draws, fit, bench.rows, bench.setup)
+    scores = {score.model: score.loo for score in comparison.scores}
+    record: Record = {
+        "selected": selected,
+        "loo": scores,
+        "k_hat": sample.k_hat,
+        "ess": sample.ess,
+        "noise_scale": [fit.noise_scale, *_standing(sample, -1, float(np.log(bench.noise_scale)))],
+        "depths": _depths(calibrated, bench, for_depths, for_table),
+    }
+    if condition.model in fits:
+        record["parameters"] = _parameters(bench, fits[condition.model], samples[condition.model])
+    return record
+
+
+def with_shared(draws: FloatArray, fit: RobustFit, rng: Generator) -> FloatArray:
+    """Return draws, shape (m, p + 1), with the errors that all rows share added."""
+    common = rng.standard_normal((len(draws), fit.by_shared.shape[1]))
+    widened = draws.copy()
+    widened[:, :-1] += common @ fit.by_shared.T
+    return widened
+
+
+def _standing(sample: ImportanceSample, column: int, truth: float) -> tuple[float, float, float]:
+    """Return posterior mean, standard deviation and share of the posterior below the truth."""
+    values = sample.draws[:, column]
+    mean = float(sample.weights @ values)
+    variance = float(sample.weights @ (values - mean) ** 2)
+    return mean, float(np.sqrt(variance)), float(sample.weights @ (values < truth))
+
+
+def _parameters(bench: Bench, fit: RobustFit, sample: ImportanceSample) -> Record:
+    """Return, by parameter of the true model: truth, bound, estimates, posterior."""
+    model = MODELS[fit.model]
+    bound = cramer_rao(model, bench)
+    own, robust = np.sqrt(np.diag(fit.covariance)), fit.values
+    others = _linear_estimates(bench, model)
+    record: Record = {}
+    for i, name in enumerate(model.free):
+        truth = float(bench.rig.theta[model.indices[i]])
+        record[name] = {
+            "truth": truth,
+            "bound": float(np.sqrt(bound[i, i])),
+            "identified_by": fit.identified_by[i],
+            "robust": [robust[i], own[i]],
+            "posterior": _standing(sample, i, truth),
+        } | {estimator: values[name] for estimator, values in others.items() if name in values}
+    return record
+
+
+def cramer_rao(model: Model, bench: Bench) -> FloatArray:
+    """Return the least covariance that an estimator of the free parameters can have, (p, p).
+
+    For normal errors of the true size, with the stated priors (van Trees' bound), outliers and
+    shared errors left out.
+    """
+    theta, rows = bench.rig.theta, bench.true_rows
+    slope = closure(theta, rows.gaze, rows.z_mm).by_theta[:, list(model.indices)]
+    slope = slope / row_noise(theta, rows).sigma[:, None]
+    bound: FloatArray = np.linalg.inv(slope.T @ slope + prior_of(model, bench.priors).precision)
+    return bound
+
+
+def _linear_estimates(bench: Bench, model: Model) -> Mapping[str, Mapping[str, float]]:
+    """Return what the paper's linear and the weighted bilinear least squares find, by name."""
+    linear = fit_linear(bench.rows)
+    sigma = row_noise(first_guess(bench.rows), bench.rows).sigma
+    theta = fit_bilinear(bench.rows, 1 / sigma, axis_z="axis_z_mm" in model.free)
+    solved = [name for name in model.free if name != "eccentricity_mm"]
+    return {
+        "linear": dict(zip(linear.names, map(float, linear.values), strict=True)),
+        "bilinear": {n: float(theta[i]) for n, i in zip(model.free, model.indices, strict=True)
+                     if n in solved},
+    }  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _Line:
+    """How `calib measure` makes an interval: 1 / z ± factor u(1 / z)."""
+
+    factor: float
+
+    def covers(self, z: FloatArray, u: FloatArray, truth: FloatArray) -> FloatArray:
+        hit: FloatArray = (np.abs(1 / truth - 1 / z) <= self.factor * u / z**2).astype(float)
+        return hit
+
+
+def _depths(
+    calibrated: CalibratedInstrument, bench: Bench, for_depths: SeedSequence, table: SeedSequence
+) -> Record:
+    """Return, by part: relative errors, uncertainties, and where the truth stands."""
+    low, high = calibrated.calibrated_mm
+    line = _Line(tabulate_depths(calibrated, low_mm=low, high_mm=high, seed=table).factor95)
+    record: Record = {"factor95": line.factor, "noise_factor": calibrated.noise_factor}
+    for part, rows in bench.tests.items():
+        truth = bench.true_depths_mm[part]
+        loadings = rows.shared[:, : OBSERVABLE.z] if rows.shared_names else None
+        linear = linear_positions(calibrated.instrument, rows.gaze, loadings)
+        z = linear.position_mm[:, 2]
+        u = np.sqrt(np.diagonal(linear.covariance_mm2, axis1=1, axis2=2)[:, 2])
+        every = depth_draws(
+            calibrated.instrument, rows.gaze, np.random.default_rng(for_depths), loadings=loadings
+        )
+        record[part] = {
+            "rank": [float(np.mean(d < t)) for d, t in zip(every, truth, strict=True)],
+            "error_rel": z / truth - 1,
+            "u_rel": u / z,
+            "measure95": line.covers(z, u, truth),
+        }
+    return record
+
+
+def _plain(value: Any) -> Any:
+    """Return a document of plain numbers, texts and lists, rounded."""
+    match value:
+        case dict():
+            return {key: _plain(part) for key, part in value.items()}
+        case list() | tuple() | np.ndarray():
+            return [_plain(part) for part in value]
+        case float() | np.floating():
+            number = float(f"{value:.{DIGITS}g}")
+            return number if np.isfinite(number) else None
+        case _:
+            return value

@@ -1,0 +1,182 @@
+"""A small calibration with everything a certificate can show; figures of no rig."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from calib.certificate.inputs import (
+    Administration,
+    CalibrationSummary,
+    CertificateInputs,
+    Derived,
+    Evidence,
+    Issue,
+    Provenance,
+)
+from calib.gates import Gate
+from calib.uncertainty.certified import CertifiedDepth, certify_depth, check_depth
+from calib.uncertainty.conformity import ToleranceRule
+from calib.uncertainty.depth import reading_at
+from calib.uncertainty.lengths import length_error, length_limit
+from calib.uncertainty.measurement import Instrument, ParameterKnowledge, ReadingSpread, Spread
+
+CALIBRATED_MM = (485.9, 1008.5)
+NAMES = ("baseline_mm", "delta2_rad", "axis_z_mm", "eccentricity_mm")
+VALUES = np.array([76.9, 0.0131, -21.0, 1.2])
+ROOT = np.array([[9.0, 0, 0, 0], [-1e-5, 1.5e-4, 0, 0], [0.2, 0.3, 0.8, 0], [-9.0, 0, 0.1, 0.1]])
+READING = ReadingSpread(
+    x1c=Spread(normal=1.5e-4),
+    y1c=Spread(normal=1.5e-4),
+    alpha2_rad=Spread(width=math.radians(0.05625)),
+)
+
+STATED = Administration(
+    laboratory="Institute of Automation, Vision Laboratory",
+    address="95 Zhongguancun East Road, Beijing 100190",
+    customer="Sheet Metal Works Ltd, Dr. Example",
+    instrument="Active-gazing stereo rig AG-2",
+    serial="AG2-0017",
+    condition="complete, clean, without damage",
+    location="Laboratory, room 214",
+    date="2026-01-31",
+    operator="A. Operator",
+    approved_by="Dr. B. Approver",
+    temperature_c=21.3,
+    humidity_percent=45.0,
+    deviations="none",
+    country="CN",
+)
+
+HOSTILE = "<script>alert('x')</script> \"quoted\" & \u202egnp.exe\u202c \x07 שלום " + "W" * 300
+
+
+def instrument(*, posterior: bool) -> Instrument:
+    covariance = ROOT @ ROOT.T
+    draws = None
+    if posterior:
+        rng = np.random.default_rng(1)
+        draws = rng.multivariate_normal(VALUES, covariance, 16_000, method="eigh")
+    knowledge = ParameterKnowledge(
+        names=NAMES,
+        values=VALUES,
+        covariance=covariance,
+        degrees_of_freedom=None if posterior else 22.0,
+        evaluation=("A, B", "A", "A", "B"),
+        draws=draws,
+    )
+    return Instrument(knowledge, READING)
+
+
+def certified(
+    rig: Instrument, depths: tuple[float, ...], tolerance: ToleranceRule | None
+) -> tuple[CertifiedDepth, ...]:
+    return tuple(
+        certify_depth(
+            rig,
+            [reading_at(rig.theta, z_mm=z, x1c=x, y1c=0.05) for x in (-0.05, 0.1, 0.26)],
+            np.random.default_rng(i),
+            calibrated_mm=CALIBRATED_MM,
+            tolerance=tolerance,
+        )
+        for i, z in enumerate(depths)
+    )
+
+
+def evidence(rig: Instrument, tolerance: ToleranceRule | None) -> Evidence:
+    checks = tuple(
+        check_depth(
+            name=name,
+            reference_mm=reference,
+            u_reference_mm=1.0,
+            z_mm=z,
+            u_mm=u,
+            low95_mm=z - 1.9 * u,
+            high95_mm=z + 2.1 * u,
+            calibrated_mm=CALIBRATED_MM,
+            tolerance=tolerance,
+        )
+        for name, reference, z, u in (
+            ("2-1", 1020.0, 1029.1, 5.6),
+            ("2-2", 1000.0, 1007.4, 5.5),
+            ("3-1", 1620.0, 1649.9, 14.2),
+            ("4-1", 2120.0, 2192.0, math.inf),
+        )
+    )
+    checks = (*checks[:-1], replace(checks[-1], low95_mm=1980.0, high95_mm=math.inf))
+    lengths = tuple(
+        length_error(
+            rig,
+            np.random.default_rng(3),
+            name=name,
+            start=reading_at(rig.theta, z_mm=near, x1c=-0.2),
+            end=reading_at(rig.theta, z_mm=far, x1c=0.3),
+            reference_mm=reference,
+            u_reference_mm=0.5,
+        )
+        for name, near, far, reference in (
+            ("plate 2", 900.0, 950.0, 470.0),
+            ("plate 3", 700.0, 720.0, 357.5),
+        )
+    )
+    return Evidence(
+        depths=certified(rig, (490, 620, 740, 870, 1000, 1500), tolerance),
+        checks=checks,
+        check_reference="ruler",
+        lengths=lengths,
+        length_limit=length_limit(lengths),
+        tolerance=tolerance,
+    )
+
+
+def inputs(
+    *,
+    administration: Administration = STATED,
+    posterior: bool = True,
+    tolerance: ToleranceRule | None = ToleranceRule(0.02, "guard-band"),  # noqa: B008 - frozen
+) -> CertificateInputs:
+    rig = instrument(posterior=posterior)
+    p = rig.parameters
+    both = np.array([1, 0, 0, 1])
+    return CertificateInputs(
+        administration=administration,
+        issue=Issue("AG-20260201T093012Z-3F2A9C1B-8D1E22C4A7F0", "2026-02-01"),
+        provenance=Provenance(
+            dataset_name="example",
+            dataset_title="Example of a certificate",
+            dataset_sha256="3f2a9c1b" + "0" * 56,
+            citation="Xu and Wang 2017",
+            seed=1,
+            software=(("calib", "0.1.0"), ("numpy", "2.4.6")),
+            commit="0123abc",
+        ),
+        calibration=CalibrationSummary(
+            model="axis-offset",
+            instrument=rig,
+            identified_by=("both", "data", "data", "prior"),
+            estimator="posterior by emcee" if posterior else "least squares",
+            rows=26,
+            outliers=("7",),
+            reference="stereovision",
+            calibrated_mm=CALIBRATED_MM,
+            noise_factor=1.31,
+            derived=(
+                Derived(
+                    "L_b + e",
+                    "baseline seen at 90°",
+                    "mm",
+                    float(both @ p.values),
+                    float(np.sqrt(both @ p.covariance @ both)),
+                ),
+            ),
+            intrinsics="given in the dataset",
+        ),
+        evidence=evidence(rig, tolerance),
+        gates=(
+            Gate("convergence", True, "R-hat 1.002, 4300 effective draws"),
+            Gate("agreement", True, "importance sampling agrees, k-hat 0.31"),
+        ),
+        warnings=(),
+    )

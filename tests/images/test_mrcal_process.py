@@ -1,0 +1,201 @@
+"""mrcal in its own process. Evidence: simulated truth; an independent tool (OpenCV); failures made
+on purpose. Needs mrcal, which a machine without it says in the first failure."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import board_scenes as scenes
+import cv2
+import numpy as np
+import pytest
+
+from calib.errors import EstimationError
+from calib.geometry.camera import intrinsic_vector, normalise
+from calib.images import mrcal_call, mrcal_worker
+from calib.images.mrcal_call import MrcalMissingError
+from calib.images.mrcal_process import lens_fits, solve, splined_lens
+from calib.images.types import Corners
+
+OPENCV5 = "LENSMODEL_OPENCV5"
+SIGMA_PX = 0.1
+
+
+@pytest.fixture(scope="module")
+def exact() -> scenes.Pairs:
+    return scenes.pairs(np.random.default_rng(0), 14)
+
+
+def truth(exact: scenes.Pairs) -> np.ndarray:
+    """Intrinsics of both cameras, then the pose of C2 from C1 (the inverse of 1T2)."""
+    back = np.linalg.inv(scenes.matrix(exact.pose_12))
+    pose_21 = np.concatenate([cv2.Rodrigues(back[:3, :3])[0].ravel(), back[:3, 3]])
+    return np.concatenate([intrinsic_vector(scenes.C1), intrinsic_vector(scenes.C2), pose_21])
+
+
+def test_pair_of_cameras_is_recovered_within_the_stated_covariance(exact: scenes.Pairs) -> None:
+    rng = np.random.default_rng(1)
+    runs, square = 6, 0.0
+    for _ in range(runs):
+        found = [scenes.noisy(rng, c, SIGMA_PX) for c in (exact.c1, exact.c2)]
+        solution = solve(found, scenes.BOARD, lens_model=OPENCV5, seed=0)
+        estimate = np.concatenate([solution.intrinsics.ravel(), solution.camera_from_first.ravel()])
+        error = estimate - truth(exact)
+        square += error @ np.linalg.solve(solution.covariance, error) / len(error)
+        # sigma of 3000 residuals is good to 1.3 %; a few are rejected as outliers.
+        assert solution.sigma_px == pytest.approx(SIGMA_PX, rel=0.06)
+    # Chi squared with 6 x 24 degrees of freedom over that number: standard deviation 0.12.
+    assert 0.7 < square / runs < 1.4
+
+
+def test_agrees_with_opencv_on_the_same_corners(exact: scenes.Pairs) -> None:
+    found = scenes.noisy(np.random.default_rng(2), exact.c1, SIGMA_PX)
+    fit = lens_fits(solve([found], scenes.BOARD, lens_model=OPENCV5, seed=0, warp=False), [found])[
+        0
+    ]
+    points = [scenes.BOARD.object_points().astype(np.float32)] * len(found.images)
+    _, matrix, distortion, _, _, std, _, _ = cv2.calibrateCameraExtended(
+        points, list(found.pixels.astype(np.float32)), found.image_size, None, None
+    )
+    other = np.concatenate([matrix[[0, 1, 0, 1], [0, 1, 2, 2]], distortion.ravel()])
+    own_std = np.sqrt(np.diag(fit.covariance))
+    # The two differ by mrcal's outlier rejection, a few of 1500 coordinates, and regularisation.
+    assert np.all(np.abs(intrinsic_vector(fit.camera) - other) < 0.5 * own_std)
+    assert own_std == pytest.approx(std.ravel()[:9], rel=0.05)
+    assert fit.rms_px == pytest.approx(SIGMA_PX, rel=0.1)
+    assert fit.residuals.shape == (14, 54, 2)
+
+
+def test_poses_and_residuals_are_those_of_the_boards(exact: scenes.Pairs) -> None:
+    found = [exact.c1, exact.c2]
+    solution = solve(found, scenes.BOARD, lens_model=OPENCV5, seed=0, warp=False)
+    # Exact corners: what is left is mrcal's regularisation, far below a corner's noise.
+    assert solution.poses == pytest.approx(exact.poses, rel=1e-3, abs=2e-3)
+    assert np.nanmax(np.abs(solution.residuals)) < 0.01
+    second = lens_fits(solution, found)[1]
+    board_in_c2 = np.linalg.inv(scenes.matrix(exact.pose_12)) @ scenes.matrix(exact.poses[3])
+    assert scenes.matrix(second.poses[3]) == pytest.approx(board_in_c2, rel=1e-3, abs=2e-3)
+
+
+def test_bow_of_the_board_is_recovered() -> None:
+    rng = np.random.default_rng(3)
+    bow = (0.8, -0.4)
+    scene = scenes.pairs(rng, 14, warp_mm=bow)
+    found = [scenes.noisy(rng, c, SIGMA_PX) for c in (scene.c1, scene.c2)]
+    solution = solve(found, scenes.BOARD, lens_model=OPENCV5, seed=0)
+    # 0.1 px are 0.1 mm across at 800 mm; a bow seen at 0.4 rad, by 28 views of 54 corners:
+    # 0.1 / 0.4 / sqrt(28 * 54) = 0.006 mm, five times that for what poses and lens take up.
+    assert solution.board_warp_mm == pytest.approx(bow, abs=0.03)
+    error = solution.camera_from_first[0] - truth(scene)[-6:]
+    assert np.all(np.abs(error) < 4 * np.sqrt(np.diag(solution.covariance))[-6:])
+
+
+def test_incomplete_boards_and_outliers_do_no_harm(exact: scenes.Pairs) -> None:
+    rng = np.random.default_rng(4)
+    found = scenes.noisy(rng, exact.c1, SIGMA_PX)
+    pixels = np.array(found.pixels)
+    pixels[rng.random(pixels.shape[:2]) < 0.3] = np.nan
+    pixels[5] = np.nan
+    wrong = [(2, 11), (7, 30), (9, 53)]
+    for view, corner in wrong:
+        pixels[view, corner] = found.pixels[view, corner] + 4.0
+    found = Corners(found.images, pixels, found.detector, found.image_size)
+    solution = solve([found], scenes.BOARD, lens_model=OPENCV5, seed=0)
+    assert all(solution.rejected[0, view, corner] for view, corner in wrong)
+    # Beyond the three, mrcal rejects beyond about 4 sigma: 1 of 16,000 normal errors.
+    assert solution.rejected.sum() <= 8
+    assert np.isnan(solution.poses[5]).all()
+    assert np.isnan(solution.residuals[0][np.isnan(pixels[..., 0])]).all()
+    error = solution.intrinsics[0] - intrinsic_vector(scenes.C1)
+    assert np.all(np.abs(error) < 4 * np.sqrt(np.diag(solution.covariance)))
+
+
+def test_splined_lens_sees_the_true_rays(exact: scenes.Pairs) -> None:
+    found = scenes.noisy(np.random.default_rng(5), exact.c1, SIGMA_PX)
+    model = splined_lens(found, focal_px=820.0)
+    solution = solve([found], scenes.BOARD, lens_model=model, seed=0)
+    assert solution.covariance is None
+    grid = solution.grids[0]
+    inner = grid.std_px < np.quantile(grid.std_px, 0.2)  # where boards were
+    assert grid.std_px[inner].max() < 3 * SIGMA_PX
+    rays = normalise(scenes.C1, grid.pixels[inner])
+    rays = np.concatenate([rays, np.ones((len(rays), 1))], axis=-1)
+    rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
+    # Rotation of a splined camera means nothing by itself: align first (Kabsch).
+    u, _, v = np.linalg.svd(rays.T @ grid.rays[inner])
+    apart = np.linalg.norm(grid.rays[inner] @ (u @ v).T - rays, axis=-1) * scenes.C1.matrix[0, 0]
+    # Few boards, so the error is one smooth field: 4 standard deviations for all of it at once.
+    assert np.sqrt(np.mean(apart**2)) < 4 * np.median(grid.std_px[inner])
+    assert solution.grids[0].pixels[-1, -1] == pytest.approx([1279, 959])
+
+
+def test_model_file_is_mrcals_and_runs_repeat(exact: scenes.Pairs) -> None:
+    one, two = (solve([exact.c1], scenes.BOARD, lens_model=OPENCV5, seed=7) for _ in range(2))
+    assert OPENCV5 in one.model_files[0]
+    assert one.model_files == two.model_files
+    assert one.covariance.tobytes() == two.covariance.tobytes()
+
+
+def test_worker_knows_the_names_of_both_generations() -> None:
+    request = {
+        "indices": np.array([[0, 0]], dtype=np.int32),
+        "observations": np.zeros((1, 6, 9, 3)),
+        "image_sizes": np.array([[640, 480]], dtype=np.int32),
+    }
+    header = {"square_mm": 30.0}
+
+    class Old:
+        class cameramodel:  # noqa: N801 - mrcal's name
+            pass
+
+    class New:
+        class cameramodel:  # noqa: N801 - mrcal's name
+            rt_cam_ref = None
+
+    old = mrcal_worker.Problem(Old, request, header)
+    new = mrcal_worker.Problem(New, request, header)
+    assert (old.cameras_key, old.frames_key) == ("extrinsics_rt_fromref", "frames_rt_toref")
+    assert (new.cameras_key, new.frames_key) == ("rt_cam_ref", "rt_ref_frame")
+
+
+@pytest.mark.parametrize("interpreter", ["/nowhere/python", sys.executable])
+def test_missing_mrcal_is_named_with_the_remedy(
+    exact: scenes.Pairs, monkeypatch: pytest.MonkeyPatch, interpreter: str
+) -> None:
+    monkeypatch.setenv(mrcal_call.INTERPRETER_VARIABLE, interpreter)
+    with pytest.raises(MrcalMissingError, match="apt install python3-mrcal") as caught:
+        solve([exact.c1], scenes.BOARD, lens_model=OPENCV5, seed=0)
+    assert interpreter in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("script", "words"),
+    [
+        ("kill -SEGV $$", "SIGSEGV"),
+        ("echo first >&2; echo 'no convergence' >&2; exit 1", "failed: no convergence"),
+        ("exec sleep 60", "no answer within"),
+    ],
+)
+def test_crash_failure_and_hang_become_errors(
+    exact: scenes.Pairs,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    script: str,
+    words: str,
+) -> None:
+    interpreter = tmp_path / "python"
+    interpreter.write_text(f"#!/bin/sh\n{script}\n", encoding="ascii")
+    interpreter.chmod(0o755)
+    monkeypatch.setenv(mrcal_call.INTERPRETER_VARIABLE, str(interpreter))
+    monkeypatch.setattr(mrcal_call, "TIMEOUT_S", 0.5)
+    with pytest.raises(EstimationError, match=words):
+        solve([exact.c1], scenes.BOARD, lens_model=OPENCV5, seed=0)
+
+
+def test_too_few_views_are_refused(exact: scenes.Pairs) -> None:
+    few = Corners(
+        exact.c1.images[:2], exact.c1.pixels[:2], exact.c1.detector[:2], exact.c1.image_size
+    )
+    with pytest.raises(EstimationError, match="2 views"):
+        solve([few], scenes.BOARD, lens_model=OPENCV5, seed=0)

@@ -1,0 +1,220 @@
+"""Evidence: published (GUM H.1, H.2) and an independent tool (GTC)."""
+
+from __future__ import annotations
+
+import math
+
+import GTC
+import known_case
+import numpy as np
+import pytest
+
+from calib.uncertainty.budget import Budget, InputQuantity, budget, coverage_factor
+from calib.uncertainty.depth import depth_budget, reading_at
+from calib.uncertainty.measurement import Instrument, ParameterKnowledge, ReadingSpread, Spread
+
+# GUM H.2, table H.2: V / V, I / mA, phi / rad, five simultaneous observations each.
+H2 = np.array(
+    [
+        [5.007, 19.663e-3, 1.0456],
+        [4.994, 19.639e-3, 1.0438],
+        [5.005, 19.640e-3, 1.0468],
+        [4.990, 19.685e-3, 1.0428],
+        [4.999, 19.678e-3, 1.0433],
+    ]
+)
+
+
+def _quantity(name: str, u: float, c: float, dof: float | None, with_: str | None = None):
+    return InputQuantity(name, 1.0, "1", u, "A", "normal", dof, c, with_)
+
+
+def _shares(table: Budget) -> float:
+    return sum(r.share_percent for r in table.rows) + sum(
+        r.share_percent for r in table.correlations
+    )
+
+
+def _h2(function: str) -> Budget:
+    mean = H2.mean(axis=0)
+    covariance = np.cov(H2.T) / len(H2)
+    v, i, phi = mean
+    value, slopes = {
+        "R": (
+            v / i * np.cos(phi),
+            [np.cos(phi) / i, -v / i**2 * np.cos(phi), -v / i * np.sin(phi)],
+        ),
+        "X": (v / i * np.sin(phi), [np.sin(phi) / i, -v / i**2 * np.sin(phi), v / i * np.cos(phi)]),
+        "Z": (v / i, [1 / i, -v / i**2, 0.0]),
+    }[function]
+    u = np.sqrt(np.diag(covariance))
+    return budget(
+        quantity=function,
+        estimate=float(value),
+        unit="ohm",
+        inputs=[
+            _quantity(n, float(u[k]), float(slopes[k]), 4, "observations")
+            for k, n in enumerate("VIφ")
+        ],
+        correlation=covariance / np.outer(u, u),
+    )
+
+
+@pytest.mark.parametrize(
+    ("function", "value", "u"),
+    [("R", 127.732, 0.071), ("X", 219.847, 0.295), ("Z", 254.260, 0.236)],
+)
+def test_gum_h2_published_values(function: str, value: float, u: float) -> None:
+    table = _h2(function)
+    # Table H.4 prints three decimals; the GUM rounded its inputs before, which the last may show.
+    assert table.estimate == pytest.approx(value, abs=1e-3)
+    assert table.standard_uncertainty == pytest.approx(u, abs=1e-3)
+    assert table.degrees_of_freedom == pytest.approx(4)
+
+
+@pytest.mark.parametrize("function", ["R", "X", "Z"])
+def test_gum_h2_against_gtc(function: str) -> None:
+    v, i, phi = GTC.type_a.multi_estimate_real(H2.T.tolist())
+    gtc = {"R": v / i * GTC.cos(phi), "X": v / i * GTC.sin(phi), "Z": v / i}[function]
+    table = _h2(function)
+    assert table.estimate == pytest.approx(GTC.value(gtc), rel=1e-12)
+    assert table.standard_uncertainty == pytest.approx(GTC.uncertainty(gtc), rel=1e-6)
+    assert table.degrees_of_freedom == pytest.approx(GTC.dof(gtc), rel=1e-6)
+    for row, x in zip(table.rows, (v, i, phi), strict=True):
+        expected = abs(GTC.component(gtc, x))
+        assert row.contribution == pytest.approx(expected, rel=1e-6, abs=1e-15)
+    assert _shares(table) == pytest.approx(100, abs=1e-9)
+
+
+def test_gum_h1_effective_degrees_of_freedom() -> None:
+    """End-gauge calibration, H.1.6: u_c = 32 nm with contributions 25 (18), 9.7 (25.6), ... nm."""
+    # H.1: u(l_s) = 25 nm, nu 18; u(d) = 9.7 nm, nu 25.6; l_s theta_s u(d alpha) = 2.9 nm, nu 50;
+    # l_s alpha_s u(d theta) = 16.6 nm, nu 2. Printed: u_c = 32 nm, nu_eff = 16.7, t_99(16) = 2.92.
+    inputs = [
+        _quantity("l_s", 25.0, 1.0, 18.0),
+        _quantity("d", 9.7, 1.0, 25.6),
+        _quantity("δα", 2.9, 1.0, 50.0),
+        _quantity("δθ", 16.6, 1.0, 2.0),
+    ]
+    table = budget(quantity="l", estimate=0.0, unit="nm", inputs=inputs, correlation=np.eye(4))
+    assert table.standard_uncertainty == pytest.approx(32, abs=0.5)
+    assert table.degrees_of_freedom == pytest.approx(16.7, abs=0.1)
+    assert table.coverage_factor == pytest.approx(2.120, abs=5e-4)  # GUM table G.2, 95 %, nu 16
+
+
+def test_known_case_has_the_figures_worked_out_by_hand() -> None:
+    table = depth_budget(known_case.instrument(), known_case.READING)
+    assert table.estimate == pytest.approx(2283.62, abs=0.005)
+    assert table.standard_uncertainty == pytest.approx(54.566, abs=0.0005)
+    shares = {row.input.name: row.share_percent for row in table.rows}
+    assert shares["baseline_mm"] == pytest.approx(7.37, abs=0.005)
+    assert shares["x1c, resolution"] == pytest.approx(72.02, abs=0.005)
+    assert shares["alpha2, resolution"] == pytest.approx(12.36, abs=0.005)
+    assert shares["delta2_rad"] == pytest.approx(38.61, abs=0.005)
+    (pair,) = table.correlations
+    assert (pair.first, pair.second) == ("baseline_mm", "delta2_rad")
+    assert pair.share_percent == pytest.approx(-30.36, abs=0.005)
+    assert _shares(table) == pytest.approx(100, abs=1e-9)
+
+
+@pytest.mark.parametrize("dof", [4.0, 57.0, math.inf])
+def test_known_case_against_gtc(dof: float) -> None:
+    baseline, delta2 = GTC.multiple_ureal(
+        [77.09, 0.0133], [known_case.U_BASELINE, known_case.U_DELTA2], dof
+    )
+    GTC.set_correlation(known_case.CORRELATION, baseline, delta2)
+    x1c = GTC.ureal(-0.0158, GTC.type_b.uniform(known_case.PIXEL / 2))
+    alpha2 = GTC.ureal(known_case.READING.alpha2_rad, GTC.type_b.uniform(known_case.STEP / 2))
+    z = baseline / (x1c + 1 / GTC.tan(alpha2 + delta2))
+    table = depth_budget(
+        known_case.instrument(known_case.knowledge(degrees_of_freedom=dof)), known_case.READING
+    )
+    assert table.estimate == pytest.approx(GTC.value(z), rel=1e-12)
+    assert table.standard_uncertainty == pytest.approx(GTC.uncertainty(z), rel=1e-6)
+    assert table.degrees_of_freedom == pytest.approx(GTC.dof(z), rel=1e-6)
+    for row, x in zip(table.rows, (baseline, delta2, x1c, alpha2), strict=True):
+        assert row.contribution == pytest.approx(abs(GTC.component(z, x)), rel=1e-6)
+        assert row.input.sensitivity == pytest.approx(GTC.reporting.sensitivity(z, x), rel=1e-6)
+
+
+def test_axis_offset_model_against_gtc() -> None:
+    values = np.array([76.9, 0.0131, -21.0, 3.0])
+    root = np.array(
+        [[0.4, 0, 0, 0], [-2e-4, 3e-4, 0, 0], [0.3, 0.1, 0.9, 0], [-0.39, 0, 0.1, 0.05]]
+    )
+    covariance = root @ root.T
+    names = ("baseline_mm", "delta2_rad", "axis_z_mm", "eccentricity_mm")
+    knowledge = ParameterKnowledge(names, values, covariance, 11.0, ("A",) * 4)
+    spread = ReadingSpread(x1c=Spread(normal=2e-4), alpha2_rad=Spread(normal=1e-4, width=1e-3))
+    instrument = Instrument(knowledge, spread)
+    reading = reading_at(instrument.theta, z_mm=900.0, x1c=0.12)
+    u = np.sqrt(np.diag(covariance))
+    inputs = GTC.multiple_ureal(values.tolist(), u.tolist(), 11)
+    for i in range(4):
+        for j in range(i):
+            r = float(covariance[i, j] / u[i] / u[j])
+            GTC.set_correlation(r, inputs[i], inputs[j])
+    baseline, delta2, axis_z, eccentricity = inputs
+    x = GTC.ureal(0.12, 2e-4)
+    a = GTC.ureal(reading.alpha2_rad, 1e-4) + GTC.ureal(0, GTC.type_b.uniform(0.5e-3)) + delta2
+    z = (baseline + axis_z / GTC.tan(a) + eccentricity / GTC.sin(a)) / (x + 1 / GTC.tan(a))
+    table = depth_budget(instrument, reading)
+    assert table.estimate == pytest.approx(900, rel=1e-12)
+    assert table.standard_uncertainty == pytest.approx(GTC.uncertainty(z), rel=1e-6)
+    assert table.degrees_of_freedom == pytest.approx(GTC.dof(z), rel=1e-6)
+    assert len(table.correlations) == 6
+    assert _shares(table) == pytest.approx(100, abs=1e-9)
+
+
+def test_no_coverage_factor_where_degrees_of_freedom_are_unknown() -> None:
+    instrument = known_case.instrument(known_case.knowledge(degrees_of_freedom=None))
+    table = depth_budget(instrument, known_case.READING)
+    assert table.degrees_of_freedom is None
+    assert table.coverage_factor is None
+    assert table.expanded_uncertainty is None
+    assert "not defined" in table.freedom_note
+
+
+def test_no_coverage_factor_where_separate_inputs_are_correlated() -> None:
+    correlation = np.array([[1, 0.5], [0.5, 1]])
+    inputs = [_quantity("a", 1.0, 1.0, 5.0), _quantity("b", 1.0, 1.0, 8.0)]
+    table = budget(quantity="y", estimate=0, unit="1", inputs=inputs, correlation=correlation)
+    assert table.standard_uncertainty == pytest.approx(math.sqrt(3))
+    assert table.degrees_of_freedom is None
+    assert table.coverage_factor is None
+
+
+def test_no_coverage_factor_where_one_estimate_mixes_degrees_of_freedom() -> None:
+    inputs = [_quantity("a", 1.0, 1.0, 5.0, "fit"), _quantity("b", 1.0, 1.0, math.inf, "fit")]
+    table = budget(quantity="y", estimate=0, unit="1", inputs=inputs, correlation=np.eye(2))
+    assert table.degrees_of_freedom is None
+
+
+def test_unknown_degrees_of_freedom_of_an_input_without_effect_do_not_matter() -> None:
+    inputs = [_quantity("a", 1.0, 1.0, 5.0), _quantity("b", 1.0, 0.0, None)]
+    table = budget(quantity="y", estimate=0, unit="1", inputs=inputs, correlation=np.eye(2))
+    assert table.degrees_of_freedom == pytest.approx(5)
+
+
+@pytest.mark.parametrize(
+    ("freedom", "factor"),
+    # GUM table G.2, 95 %; a fraction counts as the integer below it, and 5 - 1e-13 as 5.
+    [(1, 12.71), (4.99, 2.776), (5 - 1e-13, 2.571), (20.7, 2.086), (math.inf, 1.960)],
+)
+def test_coverage_factor(freedom: float, factor: float) -> None:
+    assert coverage_factor(freedom) == pytest.approx(factor, abs=0.005)
+
+
+def test_below_one_degree_of_freedom_there_is_no_coverage_factor() -> None:
+    assert coverage_factor(0.9) is None
+
+
+def test_a_budget_without_uncertainty_is_refused() -> None:
+    with pytest.raises(ValueError, match="all contributions are zero"):
+        budget(
+            quantity="y",
+            estimate=0,
+            unit="1",
+            inputs=[_quantity("a", 0.0, 1.0, 5.0)],
+            correlation=np.eye(1),
+        )

@@ -10,6 +10,7 @@ import numpy as np
 from calib.arrays import BoolArray, FloatArray
 from calib.geometry.parameters import INDEX, embed
 from calib.geometry.plane import Gaze, drawn_planes
+from calib.uncertainty.distributions import factor
 from calib.uncertainty.measurement import Instrument
 from calib.uncertainty.montecarlo import NORMAL_FACTOR, numerical_tolerance
 from calib.uncertainty.position import READINGS, position_jacobian
@@ -120,16 +121,17 @@ def _draws(
     """Return draws of parameters (t, COUNT), shared errors (t, m) and reading errors (t, 4)."""
     p, shared = instrument.parameters, instrument.shared
     if p.draws is None:
-        free = rng.multivariate_normal(p.values, p.covariance, size=count, method="eigh")
+        normal = rng.standard_normal((count, len(p.values)))
+        free = p.values + normal @ factor(p.covariance).T
     else:
         free = p.draws[rng.integers(len(p.draws), size=count)]
     common = np.zeros((count, 0))
     if shared is not None:
         carried = shared.with_parameters.T @ np.linalg.pinv(p.covariance, hermitian=True)
         rest = np.eye(len(shared.names)) - carried @ shared.with_parameters
-        common = (free - p.values) @ carried.T + rng.multivariate_normal(
-            np.zeros(len(rest)), rest, size=count, method="eigh"
-        )
+        # What is left over may be indefinite by rounding, and by the covariance being a sample's.
+        common = (free - p.values) @ carried.T
+        common += rng.standard_normal(common.shape) @ factor(rest).T
     errors = np.stack(
         [
             part.normal * rng.standard_normal(count) + part.width * rng.uniform(-0.5, 0.5, count)

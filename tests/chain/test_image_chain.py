@@ -1,0 +1,189 @@
+"""The whole chain on a rendered rig. Evidence: simulated truth, negative controls."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from chain_runs import Chain, run_chain
+
+from calib.simulate.contents import IntrinsicViews, SimulationOptions, SweepPlan
+from calib.simulate.dataset import simulate_dataset
+
+OPTIONS = SimulationOptions(
+    seed=5,
+    images=True,
+    rows=14,
+    validation_rows=8,
+    fixed={"baseline_mm": 150.0, "axis_z_mm": -18.0, "eccentricity_mm": 6.0},
+    image_size=(960, 720),
+    views=IntrinsicViews(count=16),
+    sweep=SweepPlan(placements=2, images=9),
+)
+
+
+@pytest.fixture(scope="module")
+def rig(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("rig") / "rig"
+    simulate_dataset(folder, OPTIONS)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def chain(rig: Path, tmp_path_factory: pytest.TempPathFactory) -> Chain:
+    return run_chain(rig, tmp_path_factory.mktemp("out"))
+
+
+def test_all_gates_pass(chain: Chain) -> None:
+    assert [gate for gate in chain.calibration.gates if not gate.passed] == []
+
+
+def test_parameters_within_their_uncertainty(chain: Chain) -> None:
+    """Simulated truth: each of four parameters within 3.5 of its own standard deviations."""
+    assert chain.document["selected"] == "axis-offset"
+    pulls = chain.pulls("axis-offset/posterior")
+    assert len(pulls) == 4
+    assert np.abs(list(pulls.values())).max() < 3.5, pulls
+
+
+def test_sweep_tells_eccentricity_from_baseline(chain: Chain) -> None:
+    """Simulated truth: without the sweep both stay uncertain by their priors' 10 mm."""
+    fit = chain.document["fits"]["axis-offset/posterior"]["parameters"]
+    assert fit["eccentricity_mm"]["std"] < 1.0
+    assert fit["baseline_mm"]["std"] < 1.0
+    assert fit["eccentricity_mm"]["identified_by"] == "data"
+    sweep = chain.document["sweep"]["eccentricity_mm"]
+    assert abs(sweep["value"] - 6.0) < 3.5 * sweep["std"]
+
+
+def test_intrinsics_and_stereo_against_truth(chain: Chain) -> None:
+    """Simulated truth: focal length to 0.5 %, pose of C2 within 3.5 standard deviations."""
+    for name in ("c1", "c2"):
+        found = np.array(chain.document["intrinsics"][name]["matrix"])
+        true = np.array(chain.truth["cameras"][name]["matrix"])
+        assert found[0, 0] == pytest.approx(true[0, 0], rel=5e-3)
+        pull = (found[0, 0] - true[0, 0]) / chain.document["intrinsics"][name]["std"][0]
+        assert abs(pull) < 4
+    stereo = chain.document["stereo"]
+    error = np.array(stereo["transform_12"])[:3, 3]
+    error = error - np.array(chain.truth["stereo"]["transform_12"])[:3, 3]
+    assert np.all(np.abs(error) < 4 * np.sqrt(np.diag(stereo["covariance"]))[3:])
+
+
+def test_validation_depths_inside_their_intervals(chain: Chain) -> None:
+    """Simulated truth: of 8 intervals of 95 %, 6 or more hold it with probability 0.994."""
+    truth = chain.truth["rows"]["validation"]
+    inside = [
+        row["low95_mm"] <= truth[row["id"]]["point_mm"][2] <= row["high95_mm"]
+        for row in chain.document["validation"]
+    ]
+    assert sum(inside) >= 6
+
+
+def test_shared_errors_reach_the_parameters(chain: Chain) -> None:
+    """Property: intrinsics and extrinsics load the rows and the instrument."""
+    gaze = chain.calibration.gaze
+    assert gaze is not None
+    assert gaze.calibrated is not None
+    assert gaze.rows.shared.shape[2] > 15
+    assert gaze.calibrated.instrument.shared is not None
+    own = gaze.robust["axis-offset"].by_shared
+    assert np.linalg.norm(own[0]) > 0.05 * np.sqrt(gaze.robust["axis-offset"].covariance[0, 0])
+
+
+def edited(rig: Path, out: Path) -> Path:
+    """Return a copy of the rig's folder (images linked) that a test may spoil."""
+    shutil.copytree(rig, out, copy_function=lambda a, b: Path(b).hardlink_to(a))
+    for name in ("dataset.toml", "gaze.csv", "validation.csv", "sweep.csv"):
+        text = (rig / name).read_text()
+        (out / name).unlink()
+        (out / name).write_text(text)
+    return out
+
+
+def failed(chain: Chain) -> str:
+    return "; ".join(f"{g.name}: {g.detail}" for g in chain.calibration.gates if not g.passed)
+
+
+def test_reversed_encoder_is_named(rig: Path, tmp_path: Path) -> None:
+    """Negative control: 180 deg less every reading."""
+    folder = edited(rig, tmp_path / "reversed")
+    for name in ("gaze.csv", "validation.csv", "sweep.csv"):
+        lines = (folder / name).read_text().splitlines()
+        column = lines[0].split(",").index("alpha2_deg")
+        rows = [line.split(",") for line in lines[1:]]
+        for row in rows:
+            row[column] = repr(180 - float(row[column]))
+        text = "\n".join([lines[0], *(",".join(row) for row in rows)]) + "\n"
+        (folder / name).write_text(text)
+    chain = run_chain(folder, tmp_path / "out")
+    assert not chain.calibration.passed
+    assert "encoder" in failed(chain)
+    assert "counts the" in failed(chain)
+
+
+def test_swapped_cameras_are_named(rig: Path, tmp_path: Path) -> None:
+    """Negative control: C1's pictures given as C2's and the other way round, in all tables."""
+    folder = edited(rig, tmp_path / "swapped")
+    for name in ("dataset.toml", "gaze.csv", "validation.csv"):
+        path = folder / name
+        text = path.read_text()
+        text = text.replace("stereo/c1/", "stereo/@/").replace("stereo/c2/", "stereo/c1/")
+        path.write_text(text.replace("stereo/@/", "stereo/c2/"))
+    text = (folder / "dataset.toml").read_text()
+    text = text.replace("intrinsics/c1/", "intrinsics/@/").replace(
+        "intrinsics/c2/", "intrinsics/c1/"
+    )
+    (folder / "dataset.toml").write_text(text.replace("intrinsics/@/", "intrinsics/c2/"))
+    chain = run_chain(folder, tmp_path / "out")
+    assert not chain.calibration.passed
+    assert "swapped" in failed(chain)
+    assert chain.calibration.gaze is None, "no number from swapped cameras"
+
+
+@pytest.mark.slow
+def test_ten_rendered_rigs(tmp_path: Path) -> None:
+    """Simulated truth, ten seeds: pulls, coverage, focal lengths."""
+    pulls, inside, eccentricity, focal = [], [], [], []
+    for seed in range(10):
+        folder = tmp_path / f"rig{seed}"
+        options = SimulationOptions(seed=100 + seed, images=True, rows=14, validation_rows=10)
+        simulate_dataset(folder, options)
+        chain = run_chain(folder, tmp_path / f"out{seed}")
+        pulls.append(list(chain.pulls("axis-offset/posterior").values()))
+        truth = chain.truth["rows"]["validation"]
+        inside += [
+            row["low95_mm"] <= truth[row["id"]]["point_mm"][2] <= row["high95_mm"]
+            for row in chain.document["validation"]
+        ]
+        fit = chain.document["fits"]["axis-offset/posterior"]["parameters"]
+        eccentricity.append(fit["eccentricity_mm"]["std"])
+        for name in ("c1", "c2"):
+            found = chain.document["intrinsics"][name]["matrix"][0][0]
+            focal.append(found / chain.truth["cameras"][name]["matrix"][0][0] - 1)
+        shutil.rmtree(folder)
+    values = np.array(pulls)
+    assert np.abs(values).max() < 3.5
+    assert 0.7 < np.sqrt(np.mean(values**2)) < 1.4
+    assert 0.90 <= np.mean(inside) <= 0.99
+    assert max(eccentricity) < 1.0
+    assert np.abs(focal).max() < 5e-3
+
+
+@pytest.mark.parametrize(
+    ("change", "word"),
+    [
+        ({"views": IntrinsicViews(count=16, tilt_deg=(0, 0))}, "focal"),
+        ({"sweep": SweepPlan(placements=1, images=9, half_range_deg=1.0)}, "sweep-span"),
+    ],
+)
+def test_poor_scenes_are_recognised(change: dict[str, object], word: str, tmp_path: Path) -> None:
+    """Negative controls: boards all parallel to the imager; a sweep of two degrees."""
+    options = replace(OPTIONS, image_size=(640, 480), rows=6, validation_rows=0, **change)
+    simulate_dataset(tmp_path / "rig", options)
+    chain = run_chain(tmp_path / "rig", tmp_path / "out")
+    assert not chain.calibration.passed
+    assert word in failed(chain)

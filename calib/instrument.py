@@ -61,6 +61,11 @@ class CalibratedInstrument:
     calibrated_mm: FloatArray
     setup: Setup
 
+    @property
+    def measures_residual(self) -> bool:
+        """Whether C2's image told the gaze residual of the calibration rows."""
+        return self.instrument.reading.gaze_residual_rad.normal > 0
+
     def loadings(self, gaze: Gaze) -> FloatArray | None:
         """Return what the shared errors do to readings, shape (n, 4, m); None without any."""
         cameras, shared = self.setup.cameras, self.setup.shared
@@ -70,7 +75,7 @@ class CalibratedInstrument:
         if cameras.c1 is not None:
             xy = np.stack([gaze.x1c, gaze.y1c], axis=1)
             loadings[:, : OBSERVABLE.alpha2] = direction_by_common(xy, cameras.c1, shared)
-        if cameras.c2 is not None and self.instrument.reading.gaze_residual_rad.normal > 0:
+        if cameras.c2 is not None and self.measures_residual:
             # Near the centre column: the error of cx2 over fx2.
             by_centre = shared.of_camera("c2", cameras.c2)[2]
             loadings[:, OBSERVABLE.residual] = -by_centre / cameras.c2.matrix[0, 0]
@@ -159,9 +164,10 @@ def tabulate_depths(
     low_mm: float,
     high_mm: float,
     seed: SeedSequence,
+    points: int = GRID_POINTS,
 ) -> DepthTable:
     """Return the depth uncertainty from `low_mm` to `high_mm`."""
-    z = np.linspace(low_mm, high_mm, GRID_POINTS)
+    z = np.linspace(low_mm, high_mm, points)
     points = np.stack([np.zeros_like(z), np.zeros_like(z), z], axis=1)
     gaze = gaze_at(calibrated.instrument.theta, points)
     prediction = predict_depths(

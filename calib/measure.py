@@ -61,12 +61,20 @@ class _Shared(_Section):
     with_parameters: tuple[tuple[float, ...], ...]
 
 
+class _Stated(_Section):
+    u_x1c: float
+    encoder_step_rad: float
+    u_alpha2_rad: float
+
+
 class _Measurement(_Section):
     model: str
     names: tuple[str, ...]
     values: tuple[float, ...]
     covariance: tuple[tuple[float, ...], ...]
     reading: _Reading
+    stated: _Stated
+    noise_factor: float
     calibrated_depth_mm: tuple[float, float]
     factor95: float
     shared: _Shared | None = None
@@ -97,6 +105,8 @@ class Measuring:
         Parameters, their covariance and the errors of a reading.
     setup
         Cameras for readings in pixels, and the errors that readings share with the calibration.
+    noise_factor
+        By how much the calibration proved the stated uncertainties of a reading too small.
     calibrated_mm
         Depths that the calibration covers.
     factor95
@@ -105,6 +115,7 @@ class Measuring:
 
     instrument: Instrument
     setup: Setup
+    noise_factor: float
     calibrated_mm: tuple[float, float]
     factor95: float
 
@@ -156,11 +167,18 @@ def read_calibration(path: Path) -> Measuring:
         gaze_residual_rad=m.reading.gaze_residual_rad.spread(),
     )
     cameras = {name: camera.camera() for name, camera in file.intrinsics.items()}
-    settings = RowSettings(m.reading.x1c.normal, 0.0, 0.0, m.reading.alpha2_rad.width, 0.0)
+    settings = RowSettings(
+        u_x1c=m.stated.u_x1c,
+        u_z_mm=0.0,
+        u_z_rel=0.0,
+        encoder_step_rad=m.stated.encoder_step_rad,
+        u_alpha2_rad=m.stated.u_alpha2_rad,
+    )
     shared, common = _shared(path, m)
     return Measuring(
         instrument=Instrument(parameters, reading, common),
         setup=Setup(settings, CameraSet(cameras.get("c1"), cameras.get("c2")), shared),
+        noise_factor=m.noise_factor,
         calibrated_mm=m.calibrated_depth_mm,
         factor95=m.factor95,
     )
@@ -282,10 +300,11 @@ def measure(measuring: Measuring, table: GazeTable) -> Measured:
         not meet in front of C1.
     """
     _refuse_unseen(measuring, table)
-    spread = measuring.instrument.reading
     rows = observe(table, measuring.setup, None)
     loadings = rows.shared[:, : OBSERVABLE.z] if rows.shared_names else None
-    linear = linear_positions(measuring.instrument, rows.gaze, loadings)
+    # With u2 the motor's step is measured and no longer an error: rows differ.
+    std = measuring.noise_factor * rows.std[:, : OBSERVABLE.z]
+    linear = linear_positions(measuring.instrument, rows.gaze, loadings, reading_std=std)
     _refuse_unreachable(table, linear.position_mm[:, 2])
     place = {name: i for i, name in enumerate(table.ids)}
     depth_of = tuple(i if d is None else place[d] for i, d in enumerate(table.depth_row))
@@ -298,17 +317,17 @@ def measure(measuring: Measuring, table: GazeTable) -> Measured:
     # x = x1c z and y = y1c z: with another row's depth the errors come from two rows.
     by_common[borrows] = ray[borrows, :, None] * linear.by_common[source[borrows], 2][:, None]
     by_depth_row[borrows] = ray[borrows, :, None] * linear.own[source[borrows], 2][:, None]
-    by_row[borrows, 0, OBSERVABLE.x1c] = z[borrows] * spread.x1c.normal
-    by_row[borrows, 1, OBSERVABLE.y1c] = z[borrows] * spread.y1c.normal
+    by_row[borrows, 0, OBSERVABLE.x1c] = (z * std[:, OBSERVABLE.x1c])[borrows]
+    by_row[borrows, 1, OBSERVABLE.y1c] = (z * std[:, OBSERVABLE.y1c])[borrows]
     common = np.einsum("nik,kl,nil->ni", by_common, linear.common, by_common)
-    std = np.sqrt(common + (by_depth_row**2).sum(axis=2) + (by_row**2).sum(axis=2))
-    inverse, half = 1 / z, measuring.factor95 * std[:, 2] / z**2
+    u = np.sqrt(common + (by_depth_row**2).sum(axis=2) + (by_row**2).sum(axis=2))
+    inverse, half = 1 / z, measuring.factor95 * u[:, 2] / z**2
     with np.errstate(divide="ignore"):
         high = np.where(half < inverse, 1 / (inverse - half), np.inf)
     return Measured(
         ids=table.ids,
         position_mm=ray * z[:, None],
-        std_mm=std,
+        std_mm=u,
         low95_mm=1 / (inverse + half),
         high95_mm=high,
         by_common=by_common,

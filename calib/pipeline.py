@@ -96,7 +96,9 @@ def calibrate(
             gates=all_gates(result, gaze, failures),
             warnings=(*dataset.warnings, *all_warnings(result, gaze)),
         )
-        written = write_outputs(calibration, store, fingerprint=fingerprint, command=command)
+        written = write_outputs(
+            calibration, dataset, store, fingerprint=fingerprint, command=command
+        )
     return Run(calibration, tuple(store.durations), tuple(store.reused), written)
 
 

@@ -325,6 +325,11 @@ def _measurement(c: CalibratedInstrument) -> dict[str, Any]:
         "values": instrument.parameters.values,
         "covariance": instrument.parameters.covariance,
         "noise_factor": c.noise_factor,
+        "stated": {
+            "u_x1c": reading.x1c.normal / c.noise_factor,
+            "encoder_step_rad": c.setup.settings.encoder_step_rad,
+            "u_alpha2_rad": c.setup.settings.u_alpha2_rad,
+        },
         "reading": {
             "x1c": _spread(reading.x1c),
             "y1c": _spread(reading.y1c),

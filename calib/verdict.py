@@ -63,8 +63,8 @@ def all_warnings(images: ImageResult, gaze: GazeResult | None) -> tuple[str, ...
 def gaze_gates(gaze: GazeResult) -> tuple[Gate, ...]:
     """Return the gates of the gaze calibration."""
     gates = [gaze.sense, _fitted(gaze)]
-    gates += [_convergence(p) for p in gaze.posterior.values()]
-    gates += [_agreement(p) for p in gaze.posterior.values()]
+    if gaze.posterior:
+        gates += [_convergence(gaze.posterior), _agreement(gaze.posterior)]
     if gaze.comparison is not None and gaze.calibrated is not None and gaze.depths is not None:
         gates += [
             _residuals(gaze, gaze.comparison.selected),
@@ -81,27 +81,36 @@ def _fitted(gaze: GazeResult) -> Gate:
     return Gate("fit", passed=False, detail=f"no model could be fitted: {reasons}")
 
 
-def _convergence(p: Posterior) -> Gate:
-    detail = (
-        f"{p.steps} steps, {p.steps / p.tau.max():.0f} autocorrelation times; at least "
-        f"{min(p.ess_bulk.min(), p.ess_tail.min()):.0f} effective draws (wanted {ESS_GOAL:.0f}), "
-        f"R-hat at most {p.r_hat.max():.4f} (limit {R_HAT_LIMIT})"
-    )
-    if not p.converged:
-        detail += (
-            "; the chain did not converge: add rows, state tighter priors, or look for outliers"
+def _convergence(posteriors: Mapping[str, Posterior]) -> Gate:
+    details = []
+    for name, p in posteriors.items():
+        detail = (
+            f"{name}: {p.steps} steps, {p.steps / p.tau.max():.0f} autocorrelation times, at least "
+            f"{min(p.ess_bulk.min(), p.ess_tail.min()):.0f} effective draws (wanted "
+            f"{ESS_GOAL:.0f}), R-hat at most {p.r_hat.max():.4f} (limit {R_HAT_LIMIT})"
         )
-    return Gate(f"convergence {p.model}", passed=p.converged, detail=detail)
+        if not p.converged:
+            detail += ", not converged: add rows, state tighter priors, look for outliers"
+        details.append(detail)
+    passed = all(p.converged for p in posteriors.values())
+    return Gate("convergence", passed=passed, detail="; ".join(details))
 
 
-def _agreement(p: Posterior) -> Gate:
-    detail = (
-        f"importance sampling: k-hat {p.k_hat:.2f}, {p.importance_ess:.0f} effective draws; its "
-        f"means differ from emcee's by {p.agreement:.2f} of what is allowed"
+def _agreement(posteriors: Mapping[str, Posterior]) -> Gate:
+    details = []
+    for name, p in posteriors.items():
+        detail = (
+            f"{name}: k-hat {p.k_hat:.2f}, {p.importance_ess:.0f} effective draws, means within "
+            f"{p.agreement:.2f} of what may differ"
+        )
+        if not p.agrees:
+            detail += ", not confirmed: do not use this posterior"
+        details.append(detail)
+    return Gate(
+        "agreement",
+        passed=all(p.agrees for p in posteriors.values()),
+        detail=f"importance sampling against emcee, {'; '.join(details)}",
     )
-    if not p.agrees:
-        detail += "; the two computations do not confirm each other: do not use this posterior"
-    return Gate(f"agreement {p.model}", passed=p.agrees, detail=detail)
 
 
 def _residuals(gaze: GazeResult, model: str) -> Gate:
@@ -165,6 +174,12 @@ def gaze_warnings(gaze: GazeResult) -> tuple[str, ...]:
             for score in gaze.comparison.scores
             if score.unreliable
         ]
+    if gaze.calibrated is not None and gaze.calibrated.measures_residual:
+        found.append(
+            "depth uncertainties are those of readings with C2's image (u2_px), as in the "
+            "calibration rows; a reading without it carries the encoder's step too, which "
+            "calib measure adds"
+        )
     if gaze.convex is not None and not gaze.convex.optimal:
         found.append(
             f"base/convex is not proved optimal: duality gap {gaze.convex.duality_gap:.1e}"

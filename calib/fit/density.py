@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -77,7 +78,7 @@ class LogPosterior:
         total -= 0.5 * ((log_scale - mean) / std) ** 2 + len(self.rows) * log_scale
         width = (DOF * CORE**2 * np.exp(2 * log_scale))[:, None]
         for miss in self._standardised(theta):
-            total -= _NOISE_TAIL * np.log1p(miss * miss / width).sum(axis=1)
+            total -= _NOISE_TAIL * _log_product(1 + miss * miss / width)
         return total
 
     def pointwise(self, x: FloatArray) -> FloatArray:
@@ -88,23 +89,33 @@ class LogPosterior:
 
     def _standardised(self, theta: FloatArray) -> Iterator[FloatArray]:
         """Yield the closures over sigma, shape (m, some rows), chunk by chunk."""
-        coefficients = _coefficients(theta, zero_in=_has_encoder_terms(self.model))
-        used = np.any(coefficients != 0, axis=0)
+        by_angle = _has_encoder_terms(self.model)
+        coefficients = _coefficients(theta, zero_in=by_angle)
         step = max(1, CHUNK_ELEMENTS // len(theta))
         for start in range(0, len(self.rows), step):
             part = slice(start, min(start + step, len(self.rows)))
-            if _has_encoder_terms(self.model):
+            if by_angle:
                 yield self._by_angle(theta, coefficients, part)
             else:
-                yield coefficients[:, used] @ self._basis(part, used)
+                yield coefficients[:, self._used] @ self._basis[:, part]
 
-    def _basis(self, part: slice, used: BoolArray) -> FloatArray:
+    @cached_property
+    def _used(self) -> BoolArray:
+        """Which columns of the coefficients the model ever uses, shape (12,)."""
+        count = len(self.model.free)
+        some = embed(np.linspace(0.1, 0.3, count)[None], self.model.free)
+        used: BoolArray = np.any(_coefficients(some, zero_in=False) != 0, axis=0)
+        return used
+
+    @cached_property
+    def _basis(self) -> FloatArray:
+        """What the used coefficients multiply, over sigma, shape (used, n)."""
         rows = self.rows
-        angle = rows.alpha2_rad[part] + rows.gaze_residual_rad[part]
+        angle = rows.alpha2_rad + rows.gaze_residual_rad
         turn = (np.sin(angle), np.cos(angle), np.ones_like(angle))
-        place = (1 / rows.z_mm[part], -rows.x1c[part], -rows.y1c[part], -np.ones_like(angle))
-        basis = [t * q / self.sigma[part] for q in place for t in turn]
-        return np.stack([b for b, use in zip(basis, used, strict=True) if use])
+        place = (1 / rows.z_mm, -rows.x1c, -rows.y1c, -np.ones_like(angle))
+        basis = (t * q / self.sigma for q in place for t in turn)
+        return np.stack([b for b, use in zip(basis, self._used, strict=True) if use])
 
     def _by_angle(self, theta: FloatArray, coefficients: FloatArray, part: slice) -> FloatArray:
         """Return the same where each vector turns each reading in its own way."""
@@ -119,6 +130,22 @@ class LogPosterior:
         )
         sine, cosine, still = (coefficients[:, k::3] @ place for k in range(3))
         return (np.sin(angle) * sine + np.cos(angle) * cosine + still) / self.sigma[part]
+
+
+def _log_product(factors: FloatArray) -> FloatArray:
+    """Return the logarithm of each row's product, shape (m,), of factors from 1 up, (m, n).
+
+    Eight factors share one logarithm, which costs more than all the rest. They would overflow if
+    each were above 1e38, rows 1e19 standard deviations off.
+    """
+    total = np.zeros(len(factors))
+    for _ in range(3):
+        if factors.shape[1] % 2:
+            total += np.log(factors[:, -1])
+        half = factors.shape[1] // 2
+        factors = factors[:, :half] * factors[:, half : 2 * half]
+    total += np.log(factors).sum(axis=1)
+    return total
 
 
 def _has_encoder_terms(model: Model) -> bool:

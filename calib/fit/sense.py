@@ -40,7 +40,7 @@ def check_sense(rows: Observations) -> Gate:
     rows far better, or only it with a baseline above 0, its sign is wrong; if a baseline below 0
     explains them, C1 and C2 are swapped or the images mirrored.
     """
-    name = "sense of rotation"
+    name = "sense"
     mirrored = replace(
         rows, alpha2_rad=np.pi - rows.alpha2_rad, gaze_residual_rad=-rows.gaze_residual_rad
     )

@@ -26,8 +26,8 @@ from calib.images.intrinsics_maps import (
     LensDifference,
     LensMap,
     LensRays,
+    Nodes,
     compare,
-    covered_nodes,
     map_uncertainty,
     measure_coverage,
     nodes,
@@ -134,43 +134,47 @@ def calibrate_intrinsics(corners: Corners, board: Board, *, camera: str, seed: i
         If no backend finds a solution.
     """
     corners, repeated = _distinct(corners)
-    _require_views(corners, camera)
+    _require_views(corners, board, camera)
     try:
         backends = _solve(corners, board, seed)
+        validation = cross_validate(corners, board, backends.checked, points=backends.points)
+        return _assemble(corners, backends, validation, camera=camera, repeated=repeated)
     except EstimationError as error:
         raise EstimationError(_diagnosis(corners, board, camera, error)) from error
-    points = bowed(board.object_points(), backends.warp_mm)
-    validation = cross_validate(corners, board, backends.checked, points=points)
-    return _assemble(corners, points, backends, validation, camera=camera, repeated=repeated)
 
 
 @dataclass(frozen=True)
 class _Backends:
     """Fits by lens model.
 
-    `flat` are OpenCV's fits to the board as drawn, `checked` to the board as mrcal solved it (the
-    same without mrcal); `warp_mm` is that board's bow; `failed` says which larger lens models the
-    views do not determine.
+    `flat` are OpenCV's fits to the board as drawn, `checked` to `points`, the board as mrcal solved
+    it, mm (as drawn without mrcal); `failed` says which lens models the views do not determine.
     """
 
     flat: Mapping[str, LensFit]
     checked: Mapping[str, LensFit]
+    points: Mapping[str, FloatArray]
     mrcal: MrcalFits
-    warp_mm: tuple[float, float] | None
     failed: tuple[str, ...]
+
+    @property
+    def all(self) -> tuple[LensFit, ...]:
+        """The fits that are reported."""
+        return (*self.flat.values(), *self.mrcal.fits.values())
 
 
 def _solve(corners: Corners, board: Board, seed: int) -> _Backends:
-    """Solve with OpenCV, then with mrcal without the views that OpenCV found to be wrong.
+    """Solve with OpenCV, then with mrcal without the views that OpenCV found wrong with any lens.
 
     A view that mrcal discards corner by corner, to the last, leaves its pose open and the solve
     without a covariance.
     """
-    flat, failed = _fit_lenses(corners, board, {}, board.object_points())
-    simplest = flat.get(next(iter(LENSES)))
-    if simplest is None:
+    drawn = dict.fromkeys(LENSES, board.object_points())
+    flat, failed = _fit_lenses(corners, board, {}, drawn)
+    if next(iter(LENSES)) not in flat:
         raise EstimationError("; ".join(failed))
-    unused = seen(corners.pixels) & ~_views_of(simplest)[:, None]
+    used = np.any([_views_of(fit) for fit in flat.values()], axis=0)
+    unused = seen(corners.pixels) & ~used[:, None]
     kept = replace(corners, pixels=np.where(unused[..., None], np.nan, corners.pixels))
     mrcal = fit_mrcal(kept, board, lenses=LENSES, seed=seed, grid=GRID)
     mrcal = replace(
@@ -180,11 +184,13 @@ def _solve(corners: Corners, board: Board, seed: int) -> _Backends:
             for lens, fit in mrcal.fits.items()
         },
     )
-    warp = next((fit.board_warp_mm for fit in mrcal.fits.values()), None)
-    if warp is None:
-        return _Backends(flat, flat, mrcal, None, failed)
-    checked, failed = _fit_lenses(corners, board, flat, bowed(board.object_points(), warp))
-    return _Backends(flat, checked or flat, mrcal, warp, failed)
+    if not mrcal.fits:
+        return _Backends(flat, flat, drawn, mrcal, failed)
+    points = drawn | {
+        lens: bowed(drawn[lens], fit.board_warp_mm) for lens, fit in mrcal.fits.items()
+    }
+    checked, failed = _fit_lenses(corners, board, flat, points)
+    return _Backends(flat, checked, points, mrcal, failed)
 
 
 def _views_of(fit: LensFit) -> BoolArray:
@@ -193,14 +199,17 @@ def _views_of(fit: LensFit) -> BoolArray:
 
 
 def _fit_lenses(
-    corners: Corners, board: Board, start: Mapping[str, LensFit], points: FloatArray
+    corners: Corners,
+    board: Board,
+    start: Mapping[str, LensFit],
+    points: Mapping[str, FloatArray],
 ) -> tuple[dict[str, LensFit], tuple[str, ...]]:
     """Return OpenCV's fits by lens model, and why others failed."""
     fits, failed = {}, []
     for lens in LENSES:
         begin = start[lens].camera if lens in start else None
         try:
-            fits[lens] = fit_opencv(corners, board, lens=lens, points=points, start=begin)
+            fits[lens] = fit_opencv(corners, board, lens=lens, points=points[lens], start=begin)
         except EstimationError as error:
             failed.append(f"{lens}: {error}")
     return fits, tuple(failed)
@@ -218,14 +227,17 @@ def _distinct(corners: Corners) -> tuple[Corners, tuple[str, ...]]:
     return replace(corners, pixels=pixels), tuple(corners.images[i] for i in repeated)
 
 
-def _require_views(corners: Corners, camera: str) -> None:
+def _require_views(corners: Corners, board: Board, camera: str) -> None:
+    kind = "columns and rows"
+    if board.type == "charuco":
+        kind = "columns, rows, dictionary and legacy"
     usable = int((seen(corners.pixels).sum(axis=-1) >= MIN_CORNERS).sum())
     if usable < MIN_VIEWS:
         raise InputError.single(
             where=f"dataset.toml, [cameras.{camera}], images",
             what=f"the board is found, with {MIN_CORNERS} corners or more, in {usable} different "
             f"views of {len(corners.images)}, and {MIN_VIEWS} are needed",
-            remedy="add sharp pictures of the whole board, and check columns and rows of [board]",
+            remedy=f"add sharp pictures of the whole board, and check {kind} of [board]",
         )
 
 
@@ -248,7 +260,6 @@ def _diagnosis(corners: Corners, board: Board, camera: str, error: EstimationErr
 
 def _assemble(
     corners: Corners,
-    points: FloatArray,
     backends: _Backends,
     validation: CrossValidation,
     *,
@@ -257,58 +268,59 @@ def _assemble(
 ) -> Intrinsics:
     """Select a fit and judge it."""
     lens, mrcal = validation.chosen, backends.mrcal
-    checked = backends.checked[lens]
-    selected = mrcal.fits.get(lens, checked)
+    selected = mrcal.fits.get(lens, backends.checked[lens])
+    points = backends.points[lens]
     scores = view_scores(selected.camera, selected.poses, selected.residuals, points)
     dispersion = max(1.0, scores.dispersion())
-    covariance = selected.covariance * dispersion
+    enlarged = replace(selected, covariance=selected.covariance * dispersion)
     inliers = np.where(np.isfinite(selected.residuals), corners.pixels, np.nan)
-    grid = nodes(corners.image_size)
-    covered = covered_nodes(grid, inliers, corners.image_size)
     coverage = measure_coverage(inliers, corners.image_size)
-
-    def difference(other: LensRays) -> LensDifference:
-        return compare(selected, other, grid, covered)
-
-    agreement = None
-    if selected.backend == "mrcal":
-        shaped = replace(checked, lens_model=checked.lens_model + ON_SOLVED_BOARD)
-        agreement = difference(rays_of(shaped, grid, covered))
-    splined = None
-    if mrcal.splined is not None:
-        spline = LensRays("mrcal splined", mrcal.splined.rays, mrcal.splined.std_px)
-        splined = difference(spline)
-    alternatives = tuple(
-        fit for fit in (*backends.flat.values(), *mrcal.fits.values()) if fit is not selected
-    )
-    differences = [difference(rays_of(fit, grid, covered)) for fit in alternatives]
-    found = seen(corners.pixels).any(axis=-1)
-    unused = found & ~_views_of(selected)
+    at = nodes(inliers, corners.image_size)
+    agreement, splined, others = _differences(enlarged, selected, backends, lens, at)
+    unused = seen(corners.pixels).any(axis=-1) & ~_views_of(selected)
+    gates = intrinsics_gates(camera, enlarged, coverage, validation, agreement=agreement)
     return Intrinsics(
         name=camera,
         selected=selected,
-        covariance=covariance,
+        covariance=enlarged.covariance,
         dispersion=dispersion,
-        alternatives=alternatives,
+        alternatives=tuple(fit for fit in backends.all if fit is not selected),
         selection=_selection(selected, validation, backends),
         images=corners.images,
         rejected_views=tuple(corners.images[i] for i in np.flatnonzero(unused)),
         detectors=dict(Counter(corners.detector)),
         coverage=coverage,
-        uncertainty=map_uncertainty(replace(selected, covariance=covariance), grid, covered),
-        differences=tuple(d for d in (agreement, splined, *differences) if d is not None),
+        uncertainty=map_uncertainty(enlarged, at),
+        differences=tuple(d for d in (agreement, splined, *others) if d is not None),
         validation=validation,
         model_files=mrcal.model_files,
         mrcal_version=None if mrcal.missing else mrcal.version,
-        gates=intrinsics_gates(
-            camera, selected, covariance, coverage, validation, agreement=agreement
-        ),
+        gates=gates,
         warnings=(
             *_picture_warnings(camera, corners, repeated),
             *_backend_warnings(camera, mrcal),
-            *intrinsics_warnings(camera, dispersion=dispersion, splined=splined),
+            *intrinsics_warnings(camera, gates, dispersion=dispersion, splined=splined),
         ),
     )
+
+
+def _differences(
+    enlarged: LensFit, selected: LensFit, backends: _Backends, lens: str, at: Nodes
+) -> tuple[LensDifference | None, LensDifference | None, list[LensDifference]]:
+    """Return how the selected fit differs from the other backend's, from a spline, from the rest.
+
+    `enlarged` is the selected one with its final covariance.
+    """
+    agreement = splined = None
+    if selected.backend == "mrcal":
+        checked = backends.checked[lens]
+        shaped = replace(checked, lens_model=checked.lens_model + ON_SOLVED_BOARD)
+        agreement = compare(enlarged, rays_of(shaped, at), at)
+    spline = backends.mrcal.splined
+    if spline is not None:
+        splined = compare(enlarged, LensRays("mrcal splined", spline.rays, spline.std_px), at)
+    others = [fit for fit in backends.all if fit is not selected]
+    return agreement, splined, [compare(enlarged, rays_of(fit, at), at) for fit in others]
 
 
 def _selection(selected: LensFit, validation: CrossValidation, backends: _Backends) -> str:

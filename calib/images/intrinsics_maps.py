@@ -42,6 +42,22 @@ class Coverage:
 
 
 @dataclass(frozen=True)
+class Nodes:
+    """The nodes of maps over the imager.
+
+    Parameters
+    ----------
+    pixels
+        From the first pixel to the last, px, shape (*GRID, 2).
+    covered
+        Which have corners nearby, shape GRID.
+    """
+
+    pixels: FloatArray
+    covered: BoolArray
+
+
+@dataclass(frozen=True)
 class LensMap:
     """How uncertain a lens model's projection is over the imager.
 
@@ -131,44 +147,42 @@ def measure_coverage(pixels: FloatArray, image_size: tuple[int, int]) -> Coverag
     )
 
 
-def nodes(image_size: tuple[int, int]) -> FloatArray:
-    """Return the nodes of maps, from the first pixel to the last, px, shape (*GRID, 2)."""
+def nodes(pixels: FloatArray, image_size: tuple[int, int]) -> Nodes:
+    """Return the nodes of an imager on which corners `pixels`, px, shape (..., 2), were seen."""
     width, height = image_size
-    u, v = np.meshgrid(np.linspace(0, width - 1, GRID[1]), np.linspace(0, height - 1, GRID[0]))
-    return np.stack([u, v], axis=-1)
-
-
-def covered_nodes(grid: FloatArray, pixels: FloatArray, image_size: tuple[int, int]) -> BoolArray:
-    """Return which nodes, shape (rows, columns, 2), have a corner of `pixels`, (..., 2), nearby."""
+    grid = np.stack(
+        np.meshgrid(np.linspace(0, width - 1, GRID[1]), np.linspace(0, height - 1, GRID[0])),
+        axis=-1,
+    )
     at = pixels[finite(pixels)]
     reach = REACH_SHARE * float(np.hypot(*image_size))
-    near = np.zeros(grid.shape[:-1], dtype=np.bool_)
+    near = np.zeros(GRID, dtype=np.bool_)
     for row, out in zip(grid, near, strict=True):
         out[:] = (((row[:, None] - at) ** 2).sum(axis=-1) < reach**2).any(axis=-1)
-    return near
+    return Nodes(grid, near)
 
 
-def map_uncertainty(fit: LensFit, grid: FloatArray, covered: BoolArray) -> LensMap:
+def map_uncertainty(fit: LensFit, at: Nodes) -> LensMap:
     """Return the projection uncertainty of a fit with OpenCV's parameters.
 
     A change of the intrinsics that a rotation of the camera undoes moves no measured angle, so the
     rotation that best undoes it over the covered nodes is taken off before propagation (mrcal's
     documentation calls it the implied rotation).
     """
-    rays = _rays(fit.camera, grid.reshape(-1, 2))
+    rays = _rays(fit.camera, at.pixels.reshape(-1, 2))
     good = finite(rays)
     projection = project_points(fit.camera, rays[good])
     by_lens = projection.by_intrinsics
     # A small rotation w moves a ray r by w x r.
     by_turn = -projection.by_point @ _cross(rays[good])
-    inside = covered.ravel()[good]
+    inside = at.covered.ravel()[good]
     turn = by_turn[inside].reshape(-1, 3)
     lens = by_lens[inside].reshape(len(turn), -1)
     undone = by_lens - by_turn @ np.linalg.lstsq(turn, lens, rcond=None)[0]
     spread = undone @ fit.covariance @ undone.swapaxes(-1, -2)
     std = np.full(len(rays), np.nan)
     std[good] = np.sqrt(np.maximum(np.linalg.eigvalsh(spread)[:, -1], 0))
-    return LensMap(grid, covered, std.reshape(covered.shape))
+    return LensMap(at.pixels, at.covered, std.reshape(at.covered.shape))
 
 
 def fit_name(fit: LensFit) -> str:
@@ -176,37 +190,35 @@ def fit_name(fit: LensFit) -> str:
     return f"{fit.backend} {fit.lens_model}"
 
 
-def rays_of(fit: LensFit, grid: FloatArray, covered: BoolArray) -> LensRays:
+def rays_of(fit: LensFit, at: Nodes) -> LensRays:
     """Return a fit with OpenCV's parameters by its rays."""
-    rays = _unit(_rays(fit.camera, grid.reshape(-1, 2)))
-    std_px = map_uncertainty(fit, grid, covered).std_px
-    return LensRays(fit_name(fit), rays.reshape(*covered.shape, 3), std_px)
+    rays = _unit(_rays(fit.camera, at.pixels.reshape(-1, 2)))
+    std_px = map_uncertainty(fit, at).std_px
+    return LensRays(fit_name(fit), rays.reshape(*at.covered.shape, 3), std_px)
 
 
-def compare(
-    first: LensFit, second: LensRays, grid: FloatArray, covered: BoolArray
-) -> LensDifference:
-    """Return the difference of a fit and another lens over the nodes, shape (rows, columns, 2)."""
-    own = _unit(_rays(first.camera, grid.reshape(-1, 2)))
+def compare(first: LensFit, second: LensRays, at: Nodes) -> LensDifference:
+    """Return the difference of a fit and another lens."""
+    own = _unit(_rays(first.camera, at.pixels.reshape(-1, 2)))
     other = second.rays.reshape(-1, 3)
-    use = covered.ravel() & finite(own) & finite(other)
+    use = at.covered.ravel() & finite(own) & finite(other)
     aligned = other @ _rotation_onto(other[use], own[use]).T
-    moved = project(first.camera, aligned).reshape(grid.shape)
-    # A ray beyond the fold of the first lens is projected to a meaningless place.
-    moved[~finite(own).reshape(covered.shape)] = np.nan
-    difference = moved - grid
-    expected = np.hypot(map_uncertainty(first, grid, covered).std_px, second.std_px)
-    length = np.linalg.norm(difference, axis=-1)[use.reshape(covered.shape)]
+    # A ray beyond the fold of the first lens would be projected to a meaningless place.
+    aligned[~finite(own)] = np.nan
+    difference = project(first.camera, aligned).reshape(at.pixels.shape) - at.pixels
+    expected = np.hypot(map_uncertainty(first, at).std_px, second.std_px)
+    inside = use.reshape(at.covered.shape)
+    length = np.linalg.norm(difference[inside], axis=-1)
     return LensDifference(
         first=fit_name(first),
         second=second.name,
-        pixels=grid,
-        covered=covered,
+        pixels=at.pixels,
+        covered=at.covered,
         difference_px=difference,
         expected_px=expected,
         rms_px=float(np.sqrt(np.mean(length**2))),
         max_px=float(length.max()),
-        expected_rms_px=float(np.sqrt(np.mean(expected[use.reshape(covered.shape)] ** 2))),
+        expected_rms_px=float(np.sqrt(np.mean(expected[inside] ** 2))),
     )
 
 

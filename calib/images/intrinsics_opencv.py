@@ -184,7 +184,9 @@ def _without_outliers(residuals: FloatArray, used: BoolArray) -> BoolArray:
     """Return which corners, shape (views, corners), to use next."""
     size = np.where(used, np.abs(residuals).max(axis=-1), 0.0)
     limit = outlier_limit(np.where(used[..., None], residuals, np.nan))
-    kept = used & (size <= np.maximum(limit, PEEL_SHARE * size.max(axis=-1, keepdims=True)))
+    kept: BoolArray = used & (
+        size <= np.maximum(limit, PEEL_SHARE * size.max(axis=-1, keepdims=True))
+    )
     whole = seen(residuals).sum(axis=-1)
     kept[kept.sum(axis=-1) < np.maximum(MIN_CORNERS, VIEW_SHARE_MIN * whole)] = False
     return kept

@@ -21,7 +21,7 @@ take 0.1 s."""
 
 GAIN_SIGMAS = 2.0
 """A lens model with more parameters must predict left-out views better by this many standard errors
-of the gain, paired view by view: without need it is taken in 2 % of cases."""
+of the mean gain, paired view by view: without need it is taken in 2 % of cases."""
 
 
 @dataclass(frozen=True)
@@ -39,6 +39,9 @@ class CrossValidation:
         Over all views, shape (lenses,).
     fitted_rms_px
         The same when no view was left out, shape (lenses,).
+    ratio
+        Median over views of the rms when left out over that when fitted, shape (lenses,): unlike
+        the rms it does not hang on one view at the edge of what the others cover.
     std_jackknife
         Standard deviation of fx, fy, cx, cy of the chosen lens by the delete-a-group jackknife, px,
         shape (4,): what the views say of it without a model of the noise.
@@ -52,6 +55,7 @@ class CrossValidation:
     view_rms_px: FloatArray
     rms_px: FloatArray
     fitted_rms_px: FloatArray
+    ratio: FloatArray
     std_jackknife: FloatArray
     chosen: str
     reason: str
@@ -62,7 +66,7 @@ def cross_validate(
     board: Board,
     fits: Mapping[str, LensFit],
     *,
-    points: FloatArray,
+    points: Mapping[str, FloatArray],
 ) -> CrossValidation:
     """Cross-validate the lens models of fits by OpenCV, in `FOLDS` folds of views.
 
@@ -74,7 +78,7 @@ def cross_validate(
     fits
         By lens model, simplest first; the corners they rejected stay out.
     points
-        Corners in the board's frame, mm, shape (corners, 3).
+        Corners in the board's frame, mm, shape (corners, 3), by lens model.
 
     Raises
     ------
@@ -85,7 +89,7 @@ def cross_validate(
     failed: dict[str, str] = {}
     for lens, fit in fits.items():
         try:
-            view_rms[lens], parameters[lens] = _leave_out(corners, board, fit, lens, points)
+            view_rms[lens], parameters[lens] = _leave_out(corners, board, fit, lens, points[lens])
         except EstimationError as error:
             failed[lens] = str(error)
     if not view_rms:
@@ -93,7 +97,8 @@ def cross_validate(
     weight = np.stack([np.isfinite(fits[lens].residuals).sum(axis=(1, 2)) for lens in view_rms])
     squares = np.stack([view_rms[lens] ** 2 for lens in view_rms])
     lenses = tuple(view_rms)
-    chosen, reason = select_lens(lenses, squares, weight)
+    fitted = np.stack([_rms_of_views(fits[lens].residuals) for lens in lenses])
+    chosen, reason = select_lens(lenses, squares)
     folds = parameters[chosen][:, :4]
     spread = folds - folds.mean(axis=0)
     return CrossValidation(
@@ -101,6 +106,7 @@ def cross_validate(
         view_rms_px=np.sqrt(squares),
         rms_px=np.sqrt(np.nansum(squares * weight, axis=1) / weight.sum(axis=1)),
         fitted_rms_px=np.array([fits[lens].rms_px for lens in lenses]),
+        ratio=np.nanmedian(np.sqrt(squares) / fitted, axis=1),
         std_jackknife=np.sqrt((len(folds) - 1) / len(folds) * (spread**2).sum(axis=0)),
         chosen=chosen,
         reason="; ".join([reason, *(f"{name} failed: {why}" for name, why in failed.items())]),
@@ -129,13 +135,21 @@ def _leave_out(
     return rms, np.stack(parameters)
 
 
-def select_lens(
-    lenses: tuple[str, ...], squares: FloatArray, weight: FloatArray
-) -> tuple[str, str]:
+def _rms_of_views(residuals: FloatArray) -> FloatArray:
+    """Return the rms per coordinate of each view, px, shape (views,); NaN where there is none."""
+    known = np.isfinite(residuals)
+    squares = np.where(known, residuals, 0.0) ** 2
+    with np.errstate(invalid="ignore"):
+        rms: FloatArray = np.sqrt(squares.sum(axis=(1, 2)) / known.sum(axis=(1, 2)))
+    return rms
+
+
+def select_lens(lenses: tuple[str, ...], squares: FloatArray) -> tuple[str, str]:
     """Return the lens model to use and the figures that decide.
 
     The simplest one, unless a later one predicts left-out views better by more than `GAIN_SIGMAS`
-    standard errors of the mean gain.
+    standard errors. The gain is the mean over views of the logarithm of the ratio of their rms: of
+    the rms itself, one view at the edge of what the others cover would decide all.
 
     Parameters
     ----------
@@ -143,21 +157,18 @@ def select_lens(
         Names, simplest first.
     squares
         Mean squared residual of each left-out view, px^2, shape (lenses, views); NaN if not used.
-    weight
-        Coordinates in each view, shape (lenses, views).
     """
     best = 0
     reasons = []
     for other in range(1, len(lenses)):
         both = np.isfinite(squares[[best, other]]).all(axis=0)
-        gain = (squares[best] - squares[other])[both]
-        share = weight[other][both] / weight[other][both].sum()
-        mean = float(share @ gain)
-        error = float(np.sqrt((share**2 * (gain - mean) ** 2).sum() * len(gain) / (len(gain) - 1)))
-        better = mean > GAIN_SIGMAS * error
+        gain = np.log(squares[best, both] / squares[other, both]) / 2
+        error = float(gain.std(ddof=1) / np.sqrt(len(gain)))
+        better = float(gain.mean()) > GAIN_SIGMAS * error
+        low, middle, high = np.exp(-gain.mean() + GAIN_SIGMAS * error * np.array([-1, 0, 1]))
         reasons.append(
-            f"{lenses[other]} predicts left-out views {'better' if mean > 0 else 'worse'} than "
-            f"{lenses[best]} by {abs(mean):.2g} +- {error:.1g} px^2 a coordinate: "
+            f"{lenses[other]} predicts left-out views with {middle:.3f} times the rms of "
+            f"{lenses[best]} ({low:.3f} to {high:.3f} at {GAIN_SIGMAS:g} standard errors): "
             f"{lenses[other if better else best]} it is"
         )
         best = other if better else best

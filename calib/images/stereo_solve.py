@@ -19,7 +19,7 @@ from itertools import pairwise
 import cv2
 import numpy as np
 
-from calib.arrays import BoolArray, FloatArray, IntArray
+from calib.arrays import BoolArray, FloatArray
 from calib.errors import EstimationError
 from calib.geometry.camera import Camera, intrinsic_vector
 from calib.images import mrcal_process
@@ -318,29 +318,48 @@ def _with_covariance(
     if not warp_free:
         solved = np.delete(solved, [6, 7])
     solved = solved[np.diag(matrix)[solved] > 0]  # a pair may have lost all its corners
-    spread = inverse(matrix[np.ix_(solved, solved)])
+    spread = inverse(matrix[np.ix_(solved, solved)])[:6]
     square_sum = float(np.nansum(solve.residuals**2))
     freedom = max(1, int(np.isfinite(solve.residuals).sum()) - len(solved))
-    sigma = float(np.sqrt(square_sum / freedom))
-    factor = dispersion([_narrowed(pair, solved, sigma) for pair in pairs], spread, np.arange(6))
+    factor = _dispersion(pairs, known)
     done = replace(
         solve,
-        noise_covariance=factor * sigma**2 * spread[:6, :6],
-        by_intrinsics=-spread[:6] @ matrix[np.ix_(solved, np.arange(known))],
-        sigma_px=sigma,
+        noise_covariance=factor * square_sum / freedom * spread[:, :6],
+        by_intrinsics=-spread @ matrix[np.ix_(solved, np.arange(known))],
+        sigma_px=float(np.sqrt(square_sum / freedom)),
         dispersion=factor,
     )
     return replace(done, covariance=joint_covariance(rig, done)[-6:, -6:])
 
 
-def _narrowed(pair: list[Block], solved: IntArray, sigma_px: float) -> list[Block]:
-    """Return blocks with the columns of solved unknowns alone, residuals whitened."""
-    narrowed = []
-    for block in pair:
-        kept = np.isin(block.columns, solved)
-        columns = np.searchsorted(solved, block.columns[kept])
-        narrowed.append(Block(block.residuals / sigma_px, block.jacobian[:, kept], columns))
-    return narrowed
+def _dispersion(pairs: list[list[Block]], known: int) -> float:
+    """Return how much more the pairs contradict each other in the pose than noise explains.
+
+    What an error of the intrinsics does to all pairs alike is no contradiction, so the residuals
+    are first cleared of it, by a step of all unknowns, intrinsics and bow included. Where the
+    pairs leave these open, 1: too few pairs to tell.
+    """
+    whole = [pair for pair in pairs if all(len(b.residuals) for b in pair)]
+    if not whole:
+        return 1.0
+    used = np.unique(np.concatenate([b.columns for pair in whole for b in pair]))
+    flat = [[b._replace(columns=np.searchsorted(used, b.columns)) for b in p] for p in whole]
+    normal = sum_blocks([block for pair in flat for block in pair], len(used))
+    try:
+        spread = inverse(normal.matrix)
+    except EstimationError:
+        return 1.0
+    step = -spread @ normal.gradient
+    freedom = sum(len(b.residuals) for pair in flat for b in pair) - len(used)
+    left = normal.cost + float(normal.gradient @ step)
+    if left <= 0:  # exact corners
+        return 1.0
+    sigma = np.sqrt(left / max(freedom, 1))
+    cleared = [
+        [b._replace(residuals=(b.residuals + b.jacobian @ step[b.columns]) / sigma) for b in pair]
+        for pair in flat
+    ]
+    return dispersion(cleared, spread, known + np.arange(6))
 
 
 def _pair_blocks(

@@ -81,8 +81,8 @@ class SweepResult:
         explains, see `calib.images.bundle.dispersion`; all covariances here contain it.
     residuals
         Observed minus projected, px, shape (n, corners, 2); NaN where missing or rejected.
-    images
-        The n images used.
+    images, readings_rad
+        The n images used, and the encoder's readings in them, shape (n,).
     placements
         Names of the placements, m.
     poses
@@ -112,6 +112,7 @@ class SweepResult:
     dispersion: float
     residuals: FloatArray
     images: tuple[str, ...]
+    readings_rad: FloatArray
     placements: tuple[str, ...]
     poses: FloatArray
     reading_errors_rad: FloatArray
@@ -190,6 +191,7 @@ def yaw_sweep(
         dispersion=solution.dispersion,
         residuals=residuals,
         images=solution.images,
+        readings_rad=problem.readings_rad,
         placements=solution.placements,
         poses=np.array([x[problem.at_pose(k)] for k in range(problem.placements)]),
         reading_errors_rad=errors,

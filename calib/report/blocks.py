@@ -126,7 +126,27 @@ class Picture:
     kind: Literal["picture"] = field(default="picture", init=False)
 
 
-Block: TypeAlias = Table | Paragraph | Items | Facts | Tiles | Notice | Command | Picture
+@dataclass(frozen=True)
+class Thumbnail:
+    """A small picture: data URI, name, what found its board."""
+
+    image: str
+    name: str
+    detector: str
+    mark: str = ""
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """A contact sheet; `key` is its anchor."""
+
+    key: str
+    caption: Text
+    pictures: tuple[Thumbnail, ...]
+    kind: Literal["sheet"] = field(default="sheet", init=False)
+
+
+Block: TypeAlias = Table | Paragraph | Items | Facts | Tiles | Notice | Command | Picture | Sheet
 
 
 @dataclass(frozen=True)

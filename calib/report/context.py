@@ -9,7 +9,6 @@ import numpy as np
 
 from calib.dataset.contents import Dataset
 from calib.dataset.manifest import DEFAULT_U_X1C, Manifest
-from calib.fit.priors import Priors
 from calib.provenance import Provenance
 from calib.uncertainty.format import significant
 
@@ -48,7 +47,7 @@ class ReportContext:
     encoder_step_rad
         One count or microstep; None where no encoder is described.
     priors
-        Prior and measured knowledge of the parameters.
+        Mean and standard deviation by parameter, as the manifest states them.
     made
         Versions, commit, command, times.
     """
@@ -58,11 +57,11 @@ class ReportContext:
     validation_reference: str | None
     statements: tuple[Statement, ...]
     encoder_step_rad: float | None
-    priors: Priors
+    priors: Mapping[str, tuple[float, float]]
     made: Provenance
 
 
-def report_context(dataset: Dataset, priors: Priors, made: Provenance) -> ReportContext:
+def report_context(dataset: Dataset, made: Provenance) -> ReportContext:
     """Return what the report prints of a dataset and of the run."""
     m = dataset.manifest
     return ReportContext(
@@ -71,7 +70,7 @@ def report_context(dataset: Dataset, priors: Priors, made: Provenance) -> Report
         validation_reference=m.validation.reference if m.validation is not None else None,
         statements=tuple(_statements(dataset)),
         encoder_step_rad=None if m.encoder is None else _rad(m.encoder.resolution_deg),
-        priors=priors,
+        priors={name: (prior.mean, prior.std) for name, prior in m.priors.items()},
         made=made,
     )
 

@@ -6,13 +6,12 @@ import math
 
 from markupsafe import Markup
 
+from calib.fit.priors import NOISE_SCALE
 from calib.geometry.parameters import INDEX, PARAMETERS
 from calib.report.blocks import EMPTY, Cell, number
 from calib.uncertainty.format import SHOWN, fixed, interval, significant, with_uncertainty
 
 MINUS = "−"
-
-LOG_NOISE = "log_noise_scale"
 
 EFFECTIVE = "effective_baseline_mm"
 
@@ -84,14 +83,14 @@ def factor(name: str) -> float:
 def _internal_unit(name: str) -> str:
     if name == EFFECTIVE:
         return "mm"
-    return "1" if name == LOG_NOISE else PARAMETERS[INDEX[name]].unit
+    return "1" if name == NOISE_SCALE else PARAMETERS[INDEX[name]].unit
 
 
 def symbol(name: str) -> Markup:
     """Return the symbol of a parameter as HTML."""
     if name == EFFECTIVE:
         return Markup("{} + {}").format(symbol("baseline_mm"), symbol("eccentricity_mm"))
-    if name == LOG_NOISE:
+    if name == NOISE_SCALE:
         return Markup("ln <i>s</i>")
     stem, index = _split(PARAMETERS[INDEX[name]].symbol)
     return (
@@ -105,7 +104,7 @@ def plain_symbol(name: str) -> str:
     """Return the symbol of a parameter for figures, in matplotlib's mathematics."""
     if name == EFFECTIVE:
         return f"{plain_symbol('baseline_mm')} + {plain_symbol('eccentricity_mm')}"
-    if name == LOG_NOISE:
+    if name == NOISE_SCALE:
         return r"$\ln\,s$"
     stem, index = _split(PARAMETERS[INDEX[name]].symbol)
     return f"${stem}_{{{index}}}$" if index else f"${stem}$"
@@ -123,6 +122,6 @@ def meaning(name: str) -> str:
     """Return what a parameter is, in a phrase."""
     if name == EFFECTIVE:
         return "baseline seen at 90°"
-    if name == LOG_NOISE:
+    if name == NOISE_SCALE:
         return "logarithm of the noise scale"
     return PARAMETERS[INDEX[name]].meaning

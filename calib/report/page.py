@@ -15,11 +15,15 @@ from calib.report.context import ReportContext
 from calib.report.sections.comparison import comparison
 from calib.report.sections.data import data
 from calib.report.sections.depth import depth
+from calib.report.sections.detection import detection
+from calib.report.sections.intrinsics import intrinsics
 from calib.report.sections.linear import linear
 from calib.report.sections.parameters import parameters
 from calib.report.sections.posterior import posterior
 from calib.report.sections.provenance import provenance
 from calib.report.sections.residuals import residuals
+from calib.report.sections.stereo import stereo
+from calib.report.sections.sweep import sweep
 from calib.report.sections.validation import validation
 from calib.report.sections.verdict import verdict
 from calib.results import Calibration
@@ -27,6 +31,10 @@ from calib.results import Calibration
 SECTIONS: tuple[Callable[[Calibration, ReportContext], Section | None], ...] = (
     verdict,
     data,
+    detection,
+    intrinsics,
+    stereo,
+    sweep,
     parameters,
     residuals,
     linear,

@@ -96,17 +96,18 @@ def depth_draws(
     rng: np.random.Generator,
     *,
     loadings: FloatArray | None = None,
+    most: int = DRAWS,
 ) -> Iterator[FloatArray]:
     """Yield draws of the predictive distribution of depth, mm, shape (t,), of each gaze.
 
     Infinite where the drawn ray does not meet the drawn plane in front of C1. Parameters as
-    `predict_depths`.
+    `predict_depths`, and `most`, the greatest number of draws a gaze.
     """
     n = len(gaze)
     m = 0 if instrument.shared is None else len(instrument.shared.names)
     loadings = np.zeros((n, READINGS, m)) if loadings is None else loadings
     nominal = np.stack([gaze.x1c, gaze.y1c, gaze.alpha2, gaze.residual], axis=1)
-    count = int(np.clip(CHUNK_ELEMENTS // max(n, 1), FEW, DRAWS))
+    count = int(np.clip(CHUNK_ELEMENTS // max(n, 1), FEW, most))
     thetas, shared, errors = _draws(instrument, rng, count)
     planes = drawn_planes(thetas)
     for i in range(n):
@@ -172,7 +173,11 @@ class LinearPositions:
 
 
 def linear_positions(
-    instrument: Instrument, gaze: Gaze, loadings: FloatArray | None = None
+    instrument: Instrument,
+    gaze: Gaze,
+    loadings: FloatArray | None = None,
+    *,
+    reading_std: FloatArray | None = None,
 ) -> LinearPositions:
     """Return positions and the parts of their errors by the linear law of propagation.
 
@@ -180,6 +185,9 @@ def linear_positions(
     ----------
     loadings
         Shared errors' effect on the readings, shape (n, 4, m); None without shared errors.
+    reading_std
+        Standard uncertainties of x1c, y1c, alpha2 and gaze residual, shape (n, 4), where they
+        differ from row to row; None for the instrument's.
     """
     p, shared = instrument.parameters, instrument.shared
     k, m = len(p.names), 0 if shared is None else len(shared.names)
@@ -191,13 +199,15 @@ def linear_positions(
     if shared is not None:
         joint[:k, k:] = shared.with_parameters
         joint[k:, :k] = shared.with_parameters.T
-    parts = instrument.reading.parts
-    std = np.array([np.hypot(part.normal, part.width / np.sqrt(12)) for part in parts])
+    std = reading_std
+    if std is None:
+        parts = instrument.reading.parts
+        std = np.array([np.hypot(part.normal, part.width / np.sqrt(12)) for part in parts])
     return LinearPositions(
         position_mm=jacobian.position,
         by_common=np.concatenate([by_theta, jacobian.by_reading @ loadings], axis=2),
         common=joint,
-        own=jacobian.by_reading * std,
+        own=jacobian.by_reading * std[..., None, :],
     )
 
 

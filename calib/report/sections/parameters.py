@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 import numpy as np
 from markupsafe import Markup
 
 from calib.fit.posterior import Posterior
+from calib.fit.priors import NOISE_SCALE, NOISE_SCALE_PRIOR
 from calib.fit.robust import RobustFit
 from calib.geometry.parameters import INDEX, PARAMETERS
 from calib.report.blocks import (
@@ -24,7 +27,6 @@ from calib.report.context import ReportContext
 from calib.report.figures.parameters import Estimate, draw_estimates
 from calib.report.numbers import (
     EFFECTIVE,
-    LOG_NOISE,
     bounds,
     estimate,
     factor,
@@ -59,7 +61,8 @@ def parameters(c: Calibration, context: ReportContext) -> Section | None:
         )
     ]
     ordered = sorted(gaze.posterior.values(), key=lambda p: p.model != selected(gaze))
-    blocks += [_model(gaze, p, context) for p in ordered]
+    measured = () if c.images.sweep is None else c.images.sweep.names
+    blocks += [_model(gaze, p, measured, context) for p in ordered]
     blocks += [
         Paragraph(
             Markup(
@@ -83,9 +86,11 @@ def parameters(c: Calibration, context: ReportContext) -> Section | None:
     return Section("parameters", "Parameters", tuple(blocks))
 
 
-def _model(gaze: GazeResult, posterior: Posterior, context: ReportContext) -> Table:
+def _model(
+    gaze: GazeResult, posterior: Posterior, measured: Collection[str], context: ReportContext
+) -> Table:
     fit = gaze.robust[posterior.model]
-    rows = [_row(posterior, fit, i, context) for i in range(len(fit.names))]
+    rows = [_row(posterior, fit, i, measured, context) for i in range(len(fit.names))]
     found = effective_baseline(fit.names, posterior.mean[:-1], posterior.covariance[:-1, :-1])
     if found is not None:
         rows.append(
@@ -123,7 +128,13 @@ def _tied(fit: RobustFit) -> Text:
     ).format(Markup(", ").join(tied))
 
 
-def _row(posterior: Posterior, fit: RobustFit, i: int, context: ReportContext) -> tuple[Cell, ...]:
+def _row(
+    posterior: Posterior,
+    fit: RobustFit,
+    i: int,
+    measured: Collection[str],
+    context: ReportContext,
+) -> tuple[Cell, ...]:
     name, times = fit.names[i], factor(fit.names[i])
     low, _, high = posterior.quantiles[i]
     u = float(np.sqrt(posterior.covariance[i, i]))
@@ -135,30 +146,29 @@ def _row(posterior: Posterior, fit: RobustFit, i: int, context: ReportContext) -
         words(unit(name)),
         bounds(low, high, u, factor=times),
         words(WHO[who], mark="bad" if who == "prior" else ""),
-        words(_prior(name, context)),
+        words(_prior(name, measured, context)),
     )
 
 
 def _noise(posterior: Posterior, context: ReportContext) -> tuple[Cell, ...]:
     low, _, high = posterior.quantiles[-1]
     u = float(np.sqrt(posterior.covariance[-1, -1]))
-    mean, std = context.priors.noise_scale
+    mean, std = context.priors.get(NOISE_SCALE, NOISE_SCALE_PRIOR)
     return (
-        words(symbol(LOG_NOISE)),
-        words(meaning(LOG_NOISE)),
+        words(symbol(NOISE_SCALE)),
+        words(meaning(NOISE_SCALE)),
         estimate(posterior.mean[-1], u),
         words(""),
         bounds(low, high, u),
         NOTHING,
-        words(f"{plus_minus(mean, std)}{_origin(LOG_NOISE, context)}"),
+        words(f"{plus_minus(mean, std)}{_origin(NOISE_SCALE, context)}"),
     )
 
 
-def _prior(name: str, context: ReportContext) -> str:
+def _prior(name: str, measured: Collection[str], context: ReportContext) -> str:
     """Return the prior and measured knowledge of a parameter in words."""
-    measured = context.priors.measured
-    known = " and measured by the sweep" if measured and name in measured.names else ""
-    stated = context.priors.stated.get(name)
+    known = " and measured by the sweep" if name in measured else ""
+    stated = context.priors.get(name)
     std = PARAMETERS[INDEX[name]].prior_std
     if stated is not None:
         text = plus_minus(*stated, factor=factor(name))
@@ -170,7 +180,7 @@ def _prior(name: str, context: ReportContext) -> str:
 
 
 def _origin(name: str, context: ReportContext) -> str:
-    return " (dataset.toml)" if name in context.priors.stated else " (default)"
+    return " (dataset.toml)" if name in context.priors else " (default)"
 
 
 def estimates(gaze: GazeResult) -> list[Estimate]:

@@ -1,0 +1,97 @@
+"""The stereo reference: residuals of the pairs, and the targets' depths checked."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from calib.images.stereo import StereoReference
+from calib.report.plotting import (
+    BLACK,
+    BLUE,
+    VERMILLION,
+    Column,
+    Drawing,
+    Look,
+    in_house_style,
+    label_rows,
+    new_figure,
+)
+from calib.uncertainty.montecarlo import NORMAL_FACTOR
+
+_BACKENDS = {"mrcal": Look(BLUE, "o"), "opencv": Look(VERMILLION, "s")}
+
+
+@in_house_style
+def draw_pairs(stereo: StereoReference) -> Drawing:
+    """Draw the residual of each pair in both cameras, by each solve with the intrinsics held."""
+    figure = new_figure(width_in=7.4, height_in=2.8)
+    axes = figure.subplots()
+    place = np.arange(len(stereo.stems))
+    data: dict[str, Column] = {"pair": stereo.stems}
+    held = [solve for solve in stereo.solves if solve.intrinsics == "held"]
+    for k, solve in enumerate(held):
+        style = _BACKENDS.get(solve.backend, Look(BLACK, "v"))
+        for camera, rms in zip(("C1", "C2"), _rms(solve.residuals), strict=True):
+            axes.plot(
+                place + 0.16 * (k - (len(held) - 1) / 2),
+                rms,
+                linestyle="none",
+                marker=style.marker,
+                color=style.colour,
+                mfc=style.colour if camera == "C1" else "white",
+                label=f"{solve.backend}, {camera}",
+            )
+            data[f"{solve.backend}_{camera}_rms_px"] = rms
+    label_rows(axes, stereo.stems, what="pair")
+    axes.set_ylabel("rms residual / px")
+    axes.set_ylim(bottom=0)
+    figure.legend(loc="outside upper right", ncols=2 * len(held))
+    told = "; ".join(f"{s.backend} {s.rms_px:.3f} px" for s in held)
+    return Drawing(figure, f"Root mean square residual of {len(place)} stereo pairs: {told}.", data)
+
+
+def _rms(residuals: np.ndarray) -> np.ndarray:
+    """Return the root mean square per camera and pair, shape (2, pairs)."""
+    known = np.isfinite(residuals)
+    count = known.sum(axis=(2, 3))
+    total = np.where(known, residuals, 0.0) ** 2
+    rms: np.ndarray = np.sqrt(total.sum(axis=(2, 3)) / np.where(count > 0, count, np.nan))
+    return rms
+
+
+@in_house_style
+def draw_targets(stereo: StereoReference) -> Drawing:
+    """Draw depth by the board's pose in C1 alone less triangulated depth, against depth."""
+    figure = new_figure(width_in=7.4, height_in=2.9)
+    axes = figure.subplots()
+    t = stereo.targets
+    z, by_board = t.triangulated.position_mm[:, 2], t.by_board.position_mm[:, 2]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        u = np.abs((by_board - z) / t.board_sigmas)
+    bar = np.where(np.isfinite(u), NORMAL_FACTOR * u, 0.0)
+    axes.errorbar(z, by_board - z, yerr=bar, fmt="o", color=BLUE, capsize=2, elinewidth=1)
+    order = np.argsort(z)
+    for sign in (-1, 1):
+        axes.plot(
+            z[order],
+            sign * NORMAL_FACTOR * t.depth_std_mm[order],
+            color=VERMILLION,
+            ls="--",
+            label="±1.96 u of the triangulated depth" if sign > 0 else None,
+        )
+    axes.axhline(0, color=BLACK, lw=0.8)
+    axes.set(xlabel="triangulated depth / mm", ylabel="(by board − triangulated) / mm")
+    figure.legend(loc="outside upper right")
+    return Drawing(
+        figure,
+        f"Depth of {len(z)} targets by the board's pose in C1 less their triangulated depth: from "
+        f"{np.min(by_board - z):+.2f} to {np.max(by_board - z):+.2f} mm, at most "
+        f"{np.max(np.abs(t.board_sigmas)):.1f} standard deviations.",
+        {
+            "pair": t.stems,
+            "z_triangulated_mm": z,
+            "u_mm": t.depth_std_mm,
+            "z_by_board_mm": by_board,
+            "difference_in_standard_deviations": t.board_sigmas,
+        },
+    )

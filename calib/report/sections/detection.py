@@ -1,0 +1,89 @@
+"""The boards as they were found."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import cv2
+import numpy as np
+
+from calib.images.detect_grid import seen
+from calib.images.stages import ContactSheet
+from calib.images.types import Corners
+from calib.report.blocks import (
+    Block,
+    Cell,
+    Paragraph,
+    Section,
+    Sheet,
+    Thumbnail,
+    number,
+    table,
+    words,
+)
+from calib.report.context import ReportContext
+from calib.report.plotting import data_uri
+from calib.results import Calibration
+
+QUALITY = 80
+"""Of the thumbnails' JPEG: corners stay visible, a picture takes some 8 kB."""
+
+NOT_FOUND = "none"
+
+
+def detection(c: Calibration, _: ReportContext) -> Section | None:
+    """Write the detection of boards."""
+    if not c.images.corners:
+        return None
+    rows = [_row(camera, corners) for camera, corners in sorted(c.images.corners.items())]
+    blocks: list[Block] = [
+        Paragraph(
+            "The board's inner corners were sought in every picture, each once. The pictures below "
+            "show what was found: the first corner is marked larger, and must sit at the same end "
+            "of the board in all pictures of a pair."
+        ),
+        table(
+            "Boards found",
+            ("Camera", "Image / px", "Pictures", "Boards found", "Corners", "Found by"),
+            rows,
+        ),
+    ]
+    blocks += [_sheet(sheet) for _, sheet in sorted(c.images.sheets.items()) if sheet.names]
+    return Section("detection", "Boards in the pictures", tuple(blocks))
+
+
+def _row(camera: str, corners: Corners) -> tuple[Cell, ...]:
+    found = seen(corners.pixels)
+    boards, total = int(found.any(axis=-1).sum()), len(corners.images)
+    width, height = corners.image_size
+    who = Counter(name for name in corners.detector if name != NOT_FOUND)
+    told = ", ".join(f"{name} {count}" for name, count in who.most_common())
+    return (
+        words(camera.upper()),
+        words(f"{width} × {height}"),
+        number(str(total), total),
+        number(str(boards), boards, mark="" if boards == total else "caution"),
+        number(str(int(found.sum())), int(found.sum())),
+        words(told or "–"),
+    )
+
+
+def _sheet(sheet: ContactSheet) -> Sheet:
+    left_out = f"; {sheet.left_out} more are not shown" if sheet.left_out else ""
+    return Sheet(
+        key=f"pictures-{sheet.camera}",
+        caption=f"Pictures of {sheet.camera.upper()} with the corners found{left_out}. Corners off "
+        "their crossings, or a board read from the wrong end, spoil what follows; a board not "
+        "found is blurred, too small, or partly covered.",
+        pictures=tuple(
+            Thumbnail(_jpeg(picture), name, detector, mark="bad" if detector == NOT_FOUND else "")
+            for name, detector, picture in zip(
+                sheet.names, sheet.detectors, sheet.pictures, strict=True
+            )
+        ),
+    )
+
+
+def _jpeg(picture: np.ndarray) -> str:
+    _, encoded = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
+    return data_uri("image/jpeg", encoded.tobytes())

@@ -1,0 +1,172 @@
+"""The intrinsics of both cameras, by both backends."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from calib.arrays import FloatArray
+from calib.images.intrinsics import Intrinsics
+from calib.images.intrinsics_maps import fit_name
+from calib.images.sightings import pick
+from calib.images.types import LensFit
+from calib.report.blocks import Block, Cell, Facts, Paragraph, Section, Table, number, table, words
+from calib.report.context import ReportContext
+from calib.report.figures.intrinsics import (
+    draw_coverage,
+    draw_cross_validation,
+    draw_difference,
+    draw_residuals,
+)
+from calib.report.numbers import decimals, digits, estimate, signed
+from calib.report.plotting import picture
+from calib.results import Calibration
+from calib.uncertainty.format import significant
+
+DIFFERENCES_DRAWN = 2
+"""The first ones: the other backend, and the splined lens model."""
+
+
+def intrinsics(c: Calibration, _: ReportContext) -> Section | None:
+    """Write the intrinsics."""
+    if not c.images.intrinsics:
+        return None
+    blocks: list[Block] = [
+        Paragraph(
+            "Each camera was calibrated from its pictures of the board by OpenCV and by mrcal, "
+            "each with several lens models. The lens model is the simplest that no larger one "
+            "beats in predicting views that were left out; rms is the root mean square residual "
+            "per coordinate, the same for all."
+        )
+    ]
+    for name, found in sorted(c.images.intrinsics.items()):
+        blocks += _camera(found, pick(c.images.corners[name], found.images).pixels)
+    return Section("intrinsics", "Intrinsics", tuple(blocks))
+
+
+def _camera(i: Intrinsics, corners: FloatArray) -> list[Block]:
+    name = i.name.upper()
+    used = np.where(np.isfinite(i.selected.residuals), corners, np.nan)
+    differences = [
+        picture(
+            f"difference-{i.name}-{k + 1}",
+            draw_difference(i, d),
+            f"{name}: {d.second} less {d.first}. Left, in pixels; right, over what both stated "
+            "uncertainties lead to expect: above 2 over a large part of the imager, one of the two "
+            "is wrong by more than it says, or the lens model does not fit the lens.",
+        )
+        for k, d in enumerate(i.differences[:DIFFERENCES_DRAWN])
+    ]
+    return [
+        _fits(i),
+        Facts(_facts(i)),
+        picture(
+            f"coverage-{i.name}",
+            draw_coverage(i, used),
+            f"{name}: where corners were, and the standard deviation of where a ray is projected. "
+            "Empty corners of the imager are extrapolated by the lens model; uncertainty that "
+            "grows steeply towards an edge asks for boards there.",
+        ),
+        picture(
+            f"residuals-{i.name}",
+            draw_residuals(i, corners),
+            f"{name}: residuals of the selected fit. They should point everywhere: arrows that "
+            "agree with their neighbours are a lens model that does not fit, a board that is not "
+            "flat, or pictures taken in motion.",
+        ),
+        *differences,
+        _difference_table(i),
+        picture(
+            f"left-out-{i.name}",
+            draw_cross_validation(i),
+            f"{name}: residual of each view when the fit had not seen it. One view far above the "
+            "others is a bad picture; all far above the fitted rms is too few views.",
+        ),
+        _validation(i),
+    ]
+
+
+def _fits(i: Intrinsics) -> Table:
+    rows = [_fit(i.selected, i.covariance, chosen=True)]
+    rows += [_fit(fit, fit.covariance, chosen=False) for fit in i.alternatives]
+    heads = (
+        "Backend and lens model",
+        "fx / px",
+        "fy / px",
+        "cx / px",
+        "cy / px",
+        "rms / px",
+        "Rejected corners",
+        "Bow of the board / mm",
+    )
+    return table(
+        f"Fits of {i.name.upper()}",
+        heads,
+        rows,
+        note=f"± standard uncertainty; that of the selected fit is widened by the factor "
+        f"{significant(i.dispersion**0.5)}, by which the views disagree with each other beyond "
+        "the noise of their corners.",
+    )
+
+
+def _fit(fit: LensFit, covariance: FloatArray, *, chosen: bool) -> tuple[Cell, ...]:
+    (fx, _, cx), (_, fy, cy), _ = fit.camera.matrix
+    std = np.sqrt(np.diag(covariance)[:4])
+    warp = fit.board_warp_mm
+    return (
+        words(f"{fit_name(fit)}{' (selected)' if chosen else ''}", mark="good" if chosen else ""),
+        *(estimate(v, float(u)) for v, u in zip((fx, fy, cx, cy), std, strict=True)),
+        decimals(fit.rms_px, 3),
+        number(str(fit.rejected), fit.rejected),
+        words("–" if warp is None else signed(f"{warp[0]:.2f}, {warp[1]:.2f}")),
+    )
+
+
+def _facts(i: Intrinsics) -> tuple[tuple[str, str], ...]:
+    lens = ", ".join(digits(float(k), 4).text for k in i.camera.distortion) or "none"
+    facts = [
+        ("Selected because", i.selection),
+        ("Lens distortion, selected", f"{lens} (order of OpenCV)"),
+        ("Views", f"{len(i.images)}, of which {len(i.rejected_views)} rejected"),
+    ]
+    if i.rejected_views:
+        facts.append(("Rejected views", ", ".join(i.rejected_views)))
+    facts += [
+        ("Coverage", f"{100 * i.coverage.share:.0f} % of the imager's cells"),
+        ("mrcal", i.mrcal_version or "not available: OpenCV alone"),
+    ]
+    return tuple(facts)
+
+
+def _difference_table(i: Intrinsics) -> Table:
+    rows = [
+        (
+            words(d.second),
+            decimals(d.rms_px, 3),
+            decimals(d.expected_rms_px, 3),
+            decimals(d.max_px, 3),
+        )
+        for d in i.differences
+    ]
+    heads = ("Other calibration", "Difference, rms / px", "Expected, rms / px", "At most / px")
+    return table(f"{i.name.upper()}: other calibrations less the selected one", heads, rows)
+
+
+def _validation(i: Intrinsics) -> Table:
+    v = i.validation
+    rows = [
+        (
+            words(f"{lens} (chosen)" if lens == v.chosen else lens),
+            decimals(float(out), 3),
+            decimals(float(fitted), 3),
+        )
+        for lens, out, fitted in zip(v.lenses, v.rms_px, v.fitted_rms_px, strict=True)
+    ]
+    heads = ("Lens model", "rms of views left out / px", "rms of the same views fitted / px")
+    fx, fy, cx, cy = (significant(float(s), digits=2) for s in v.std_jackknife)
+    return table(
+        f"{i.name.upper()}: cross-validation",
+        heads,
+        rows,
+        note=f"Leaving views out moves fx, fy, cx, cy of the chosen lens by {fx}, {fy}, {cx}, {cy} "
+        "px (delete-a-group jackknife, one standard deviation).",
+    )

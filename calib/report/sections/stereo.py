@@ -1,0 +1,144 @@
+"""The stereo reference: the pose of C2 in C1, and the depths that come from it."""
+
+from __future__ import annotations
+
+import numpy as np
+from markupsafe import Markup
+
+from calib.arrays import FloatArray
+from calib.images.poses import invert_pose
+from calib.images.stereo import StereoReference
+from calib.report.blocks import (
+    EMPTY,
+    Block,
+    Cell,
+    Facts,
+    Paragraph,
+    Section,
+    Table,
+    number,
+    table,
+    words,
+)
+from calib.report.context import ReportContext
+from calib.report.figures.stereo import draw_pairs, draw_targets
+from calib.report.numbers import decimals, estimate, plus_minus
+from calib.report.plotting import picture
+from calib.report.sections.pick import shown_rows
+from calib.results import Calibration
+
+AXES = ("x", "y", "z")
+
+
+def stereo(c: Calibration, _: ReportContext) -> Section | None:
+    """Write the stereo reference."""
+    reference = c.images.stereo
+    if reference is None:
+        return None
+    blocks: list[Block] = [
+        Paragraph(
+            "With C2 held at one yaw, pairs of pictures of the board give the pose of C2 in C1 "
+            "and, by triangulation, the position of the target in each pair: the depths that the "
+            "gaze rows are calibrated against."
+        ),
+        Facts(_facts(reference)),
+        _poses(reference),
+    ]
+    if reference.solves:
+        blocks += [
+            _solves(reference),
+            picture(
+                "stereo-residuals",
+                draw_pairs(reference),
+                "Residuals of each pair. One pair far above the others was taken in motion, or is "
+                "no pair; all high in one camera, its intrinsics are not those of these pictures.",
+            ),
+        ]
+    if reference.targets.stems:
+        blocks += [
+            picture(
+                "stereo-targets",
+                draw_targets(reference),
+                "Cross-check: depth from the board's pose in C1 alone less triangulated depth; "
+                "bars are 95 % intervals of the difference. A trend with depth is a wrong baseline "
+                "or a wrong size of the squares; it would go unnoticed into the calibration.",
+            ),
+            _targets(reference),
+        ]
+    return Section("stereo", "Stereo reference", tuple(blocks))
+
+
+def _facts(s: StereoReference) -> tuple[tuple[str, str], ...]:
+    facts = [
+        ("Pose by", {"given": "the manifest"}.get(s.source, s.source)),
+        ("Distance of the centres", f"{plus_minus(s.baseline_mm, s.baseline_std_mm)} mm"),
+        ("Pairs used", str(len(s.stems))),
+    ]
+    if s.turned:
+        facts.append(("Boards read from the other end", ", ".join(s.turned)))
+    return tuple(facts)
+
+
+def _poses(s: StereoReference) -> Table:
+    """Return the pose of record in both directions: papers use either."""
+    other, spread = invert_pose(s.pose_12, s.covariance)
+    rows = [
+        (words(Markup("C2 in C1: <i>P</i><sub>1</sub> = R <i>P</i><sub>2</sub> + t")),
+         *_pose(s.pose_12, s.covariance)),
+        (words(Markup("C1 in C2: <i>P</i><sub>2</sub> = R <i>P</i><sub>1</sub> + t")),
+         *_pose(other, spread)),
+    ]  # fmt: skip
+    heads = ["Pose", *(f"rotation {a} / mrad" for a in AXES), *(f"t {a} / mm" for a in AXES)]
+    return table("Pose of the cameras, ± standard uncertainty", heads, rows)
+
+
+def _pose(pose: FloatArray, covariance: FloatArray) -> list[Cell]:
+    std, times = np.sqrt(np.diag(covariance)), (1e3, 1e3, 1e3, 1.0, 1.0, 1.0)
+    return [estimate(v, float(u), factor=f) for v, u, f in zip(pose, std, times, strict=True)]
+
+
+def _solves(s: StereoReference) -> Table:
+    rows = []
+    for k, solve in enumerate(s.solves):
+        chosen = " (used)" if k == 0 else ""
+        rows.append(
+            (
+                words(f"{solve.backend}, intrinsics {solve.intrinsics}{chosen}"),
+                *_pose(solve.pose_12, solve.covariance),
+                decimals(solve.rms_px, 3),
+                number(str(solve.rejected), solve.rejected),
+            )
+        )
+    heads = ["Solve", *(f"rotation {a} / mrad" for a in AXES), *(f"t {a} / mm" for a in AXES)]
+    heads += ["rms / px", "Rejected corners"]
+    return table("Pose of C2 in C1 by each backend, ± standard uncertainty", heads, rows)
+
+
+def _targets(s: StereoReference) -> Table:
+    t = s.targets
+    picked, note = shown_rows(len(t.stems))
+    rows = []
+    for i in picked:
+        x, y, z = t.triangulated.position_mm[i]
+        known = np.isfinite(t.board_sigmas[i])
+        rows.append(
+            (
+                words(t.stems[i]),
+                decimals(x, 1),
+                decimals(y, 1),
+                estimate(z, float(t.depth_std_mm[i])),
+                decimals(t.by_board.position_mm[i, 2], 1),
+                decimals(t.board_sigmas[i], 1) if known else EMPTY,
+                decimals(t.triangulated.miss_px[i], 3),
+            )
+        )
+    heads = (
+        "Pair",
+        "x / mm",
+        "y / mm",
+        "z ± u / mm",
+        "z by board / mm",
+        "difference / standard deviations",
+        "rays miss each other by / px",
+    )
+    return table("Targets of the pairs, in C1", heads, rows, note=note, sortable=True)

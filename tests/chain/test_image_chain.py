@@ -16,12 +16,12 @@ from calib.simulate.dataset import simulate_dataset
 OPTIONS = SimulationOptions(
     seed=5,
     images=True,
-    rows=14,
+    rows=8,
     validation_rows=8,
     fixed={"baseline_mm": 150.0, "axis_z_mm": -18.0, "eccentricity_mm": 6.0},
-    image_size=(960, 720),
-    views=IntrinsicViews(count=16),
-    sweep=SweepPlan(placements=2, images=9),
+    image_size=(800, 600),
+    views=IntrinsicViews(count=14),
+    sweep=SweepPlan(placements=2, images=7),
 )
 
 
@@ -108,6 +108,7 @@ def failed(chain: Chain) -> str:
     return "; ".join(f"{g.name}: {g.detail}" for g in chain.calibration.gates if not g.passed)
 
 
+@pytest.mark.slow
 def test_reversed_encoder_is_named(rig: Path, tmp_path: Path) -> None:
     """Negative control: 180 deg less every reading."""
     folder = edited(rig, tmp_path / "reversed")
@@ -173,6 +174,7 @@ def test_ten_rendered_rigs(tmp_path: Path) -> None:
     assert np.abs(focal).max() < 5e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("change", "word"),
     [

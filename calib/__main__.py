@@ -164,12 +164,13 @@ def _check(arguments: argparse.Namespace) -> int:
 
 
 def _measure(arguments: argparse.Namespace) -> int:
+    from calib.calibration_file import read_calibration
     from calib.dataset.readers import read_measurements
     from calib.measure import (
+        TABLE_LIMIT_BYTES,
         lengths_csv,
         measure,
         positions_csv,
-        read_calibration,
         read_pairs,
         table_text,
     )
@@ -177,7 +178,7 @@ def _measure(arguments: argparse.Namespace) -> int:
 
     measuring = read_calibration(arguments.calibration)
     name = "standard input" if arguments.table == "-" else arguments.table
-    text = sys.stdin.buffer.read() if arguments.table == "-" else Path(name)
+    text = sys.stdin.buffer.read(TABLE_LIMIT_BYTES + 1) if arguments.table == "-" else Path(name)
     measured = measure(measuring, read_measurements(table_text(text, name=name), name=name))
     if arguments.lengths is None:
         result = positions_csv(measuring, measured)

@@ -12,13 +12,18 @@ import hashlib
 import importlib.metadata
 import json
 import platform
+import re
 import sys
 from collections.abc import Iterable
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 
+from calib.mrcal_python import mrcal_identity
+
 PACKAGE = "calib"
+
+_NAME_ENDS = re.compile(r"[^\w.-]")
 
 # Distributions that are not called as their module is.
 _DISTRIBUTIONS = {"cv2": "opencv-contrib-python-headless"}
@@ -93,10 +98,34 @@ def _closure(module: str) -> tuple[frozenset[str], frozenset[str]]:
 @cache
 def package_version(package: str) -> str | None:
     """Return the version of an installed package by its import name, None if it has none."""
+    if package == "mrcal":
+        return mrcal_identity()
     try:
         return importlib.metadata.version(_DISTRIBUTIONS.get(package, package))
     except importlib.metadata.PackageNotFoundError:
         return None
+
+
+@cache
+def _requirements(package: str) -> frozenset[str]:
+    """Return the packages that an installed package cannot do without."""
+    try:
+        lines = importlib.metadata.requires(_DISTRIBUTIONS.get(package, package)) or []
+    except importlib.metadata.PackageNotFoundError:
+        return frozenset()
+    return frozenset(_NAME_ENDS.split(line)[0] for line in lines if "extra ==" not in line)
+
+
+def _versions(packages: Iterable[str]) -> dict[str, str | None]:
+    """Return the versions of packages and of all that they require, by name."""
+    found: dict[str, str | None] = {}
+    waiting = list(packages)
+    while waiting:
+        package = waiting.pop()
+        if package not in found and package not in sys.stdlib_module_names:
+            found[package] = package_version(package)
+            waiting.extend(_requirements(package))
+    return found
 
 
 @cache
@@ -109,8 +138,7 @@ def code_fingerprint(module: str) -> str:
         if path is not None:
             files = [path, *sorted(path.parent.glob("templates/*"))]
             sources[name] = [hashlib.sha256(f.read_bytes()).hexdigest() for f in files]
-    foreign = sorted(p for p in packages if p not in sys.stdlib_module_names)
-    return digest(sources, {p: package_version(p) for p in foreign}, platform.python_version())
+    return digest(sources, _versions(packages), platform.python_version())
 
 
 def whole_code() -> str:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from calib.fingerprint import digest, whole_code
+from calib.mrcal_python import mrcal_identity
 from calib.provenance import direct_packages
 
 LEDGER = Path(".stages") / "outputs.json"
@@ -16,7 +17,7 @@ LEDGER = Path(".stages") / "outputs.json"
 
 def run_fingerprint(dataset_sha256: str, options: Mapping[str, Any]) -> str:
     """Return what all outputs of a run depend on: data, options, code, package versions."""
-    return digest(dataset_sha256, dict(options), whole_code(), direct_packages())
+    return digest(dataset_sha256, dict(options), whole_code(), direct_packages(), mrcal_identity())
 
 
 def finished_before(out: Path, fingerprint: str) -> bool:

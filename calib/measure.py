@@ -4,213 +4,28 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, ValidationError
 
 from calib.arrays import FloatArray
+from calib.calibration_file import Measuring
 from calib.dataset.folder import decode
 from calib.dataset.readers import read_lengths
 from calib.dataset.tables import GazeTable, LengthTable
 from calib.errors import InputError, Problem
-from calib.geometry.camera import Camera
-from calib.geometry.parameters import NAMES
 from calib.geometry.plane import OBSERVABLE
-from calib.observe import CameraSet, RowSettings, Setup, Shared, observe
-from calib.results import FORMAT
-from calib.uncertainty.measurement import (
-    Instrument,
-    ParameterKnowledge,
-    ReadingSpread,
-    SharedErrors,
-    Spread,
-)
+from calib.observe import observe
 from calib.uncertainty.predictive import linear_positions
 
-FILE_LIMIT_BYTES = 200_000_000
-"""A calibration of 100,000 rows takes a tenth of it."""
+TABLE_LIMIT_BYTES = 200_000_000
+"""Some four million readings."""
 
 
-class _Section(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
-
-
-class _Spread(_Section):
-    normal: float
-    width: float
-
-    def spread(self) -> Spread:
-        return Spread(normal=self.normal, width=self.width)
-
-
-class _Reading(_Section):
-    x1c: _Spread
-    y1c: _Spread
-    alpha2_rad: _Spread
-    gaze_residual_rad: _Spread
-
-
-class _Shared(_Section):
-    names: tuple[str, ...]
-    factor: tuple[tuple[float, ...], ...]
-    with_parameters: tuple[tuple[float, ...], ...]
-
-
-class _Stated(_Section):
-    u_x1c: float
-    encoder_step_rad: float
-    u_alpha2_rad: float
-
-
-class _Measurement(_Section):
-    model: str
-    names: tuple[str, ...]
-    values: tuple[float, ...]
-    covariance: tuple[tuple[float, ...], ...]
-    reading: _Reading
-    stated: _Stated
-    noise_factor: float
-    calibrated_depth_mm: tuple[float, float]
-    factor95: float
-    shared: _Shared | None = None
-
-
-class _Camera(_Section):
-    matrix: tuple[tuple[float, float, float], ...]
-    distortion: tuple[float, ...]
-    image_size: tuple[int, int]
-
-    def camera(self) -> Camera:
-        return Camera(np.array(self.matrix), np.array(self.distortion), self.image_size)
-
-
-class _File(_Section):
-    format: Literal[1]
-    measurement: _Measurement
-    intrinsics: dict[str, _Camera] = {}
-
-
-@dataclass(frozen=True)
-class Measuring:
-    """An instrument as calibration.json describes it.
-
-    Parameters
-    ----------
-    instrument
-        Parameters, their covariance and the errors of a reading.
-    setup
-        Cameras for readings in pixels, and the errors that readings share with the calibration.
-    noise_factor
-        By how much the calibration proved the stated uncertainties of a reading too small.
-    calibrated_mm
-        Depths that the calibration covers.
-    factor95
-        Coverage factor of inverse depth.
-    """
-
-    instrument: Instrument
-    setup: Setup
-    noise_factor: float
-    calibrated_mm: tuple[float, float]
-    factor95: float
-
-
-def read_calibration(path: Path) -> Measuring:
-    """Return the instrument of a calibration.json.
-
-    Raises
-    ------
-    InputError
-        If the file is none, is damaged, has another format or holds no gaze calibration.
-    """
-    document = _json(path)
-    if not isinstance(document, dict) or document.get("format") != FORMAT:
-        found = document.get("format") if isinstance(document, dict) else None
-        raise _bad(path, f"format {found!r} is not known", f"format {FORMAT} is; calibrate again")
-    if "measurement" not in document:
-        remedy = "calibrate a dataset with gaze rows; see the gates in its report"
-        raise _bad(path, "holds no gaze calibration", remedy)
-    try:
-        file = _File.model_validate(document)
-    except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"])
-        raise _bad(
-            path, f"{where}: {first['msg']}", "the file is damaged; calibrate again"
-        ) from None
-    m = file.measurement
-    size = len(m.names)
-    shapes = {len(m.values), len(m.covariance), *(len(row) for row in m.covariance)}
-    if shapes != {size} or not set(m.names) <= set(NAMES):
-        remedy = "the file is damaged; calibrate again"
-        raise _bad(path, "measurement: names, values and covariance do not belong together", remedy)
-    covariance = np.array(m.covariance)
-    if np.linalg.eigvalsh((covariance + covariance.T) / 2)[0] < -1e-9 * np.trace(covariance):
-        remedy = "the file is damaged; calibrate again"
-        raise _bad(path, "measurement: the covariance has a negative variance", remedy)
-    parameters = ParameterKnowledge(
-        names=m.names,
-        values=np.array(m.values),
-        covariance=covariance,
-        degrees_of_freedom=None,
-        evaluation=("A",) * size,
-    )
-    reading = ReadingSpread(
-        x1c=m.reading.x1c.spread(),
-        y1c=m.reading.y1c.spread(),
-        alpha2_rad=m.reading.alpha2_rad.spread(),
-        gaze_residual_rad=m.reading.gaze_residual_rad.spread(),
-    )
-    cameras = {name: camera.camera() for name, camera in file.intrinsics.items()}
-    settings = RowSettings(
-        u_x1c=m.stated.u_x1c,
-        u_z_mm=0.0,
-        u_z_rel=0.0,
-        encoder_step_rad=m.stated.encoder_step_rad,
-        u_alpha2_rad=m.stated.u_alpha2_rad,
-    )
-    shared, common = _shared(path, m)
-    return Measuring(
-        instrument=Instrument(parameters, reading, common),
-        setup=Setup(settings, CameraSet(cameras.get("c1"), cameras.get("c2")), shared),
-        noise_factor=m.noise_factor,
-        calibrated_mm=m.calibrated_depth_mm,
-        factor95=m.factor95,
-    )
-
-
-def _shared(path: Path, m: _Measurement) -> tuple[Shared, SharedErrors | None]:
-    """Return the errors that readings share with the calibration."""
-    if m.shared is None:
-        return Shared(), None
-    shared = Shared(m.shared.names, np.array(m.shared.factor))
-    with_parameters = np.array(m.shared.with_parameters)
-    fits = shared.factor.shape[:1] == (len(shared.names),) and shared.factor.ndim == 2
-    if not fits or with_parameters.shape != (len(m.names), shared.factor.shape[1]):
-        remedy = "the file is damaged; calibrate again"
-        raise _bad(path, "measurement.shared: the arrays do not belong together", remedy)
-    return shared, SharedErrors(shared.error_names, with_parameters)
-
-
-def _bad(path: Path, what: str, remedy: str) -> InputError:
-    return InputError.single(where=str(path), what=what, remedy=remedy)
-
-
-def _json(path: Path) -> Any:
-    remedy = "give the calibration.json of a finished run"
-    try:
-        if path.stat().st_size > FILE_LIMIT_BYTES:
-            raise _bad(path, "is too large to be a calibration", remedy)
-        return json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise _bad(path, f"cannot be read ({error.strerror})", remedy) from None
-    except (ValueError, RecursionError) as error:
-        raise _bad(path, f"is no JSON ({error})", remedy) from None
+def _bad(where: str, what: str, remedy: str) -> InputError:
+    return InputError.single(where=where, what=what, remedy=remedy)
 
 
 def table_text(source: bytes | Path, *, name: str) -> str:
@@ -225,11 +40,11 @@ def table_text(source: bytes | Path, *, name: str) -> str:
     if isinstance(source, Path):
         try:
             with source.open("rb") as file:
-                source = file.read(FILE_LIMIT_BYTES + 1)
+                source = file.read(TABLE_LIMIT_BYTES + 1)
         except OSError as error:
-            raise _bad(Path(name), f"cannot be read ({error.strerror})", remedy) from None
-    if len(source) > FILE_LIMIT_BYTES:
-        raise _bad(Path(name), f"is larger than {FILE_LIMIT_BYTES // 1_000_000} MB", "split it")
+            raise _bad(name, f"cannot be read ({error.strerror})", remedy) from None
+    if len(source) > TABLE_LIMIT_BYTES:
+        raise _bad(name, f"is larger than {TABLE_LIMIT_BYTES // 1_000_000} MB", "split it")
     return decode(source, where=name)
 
 
@@ -242,6 +57,7 @@ def read_pairs(path: Path, measured: Measured) -> LengthTable:
         If it cannot be read or names a point that was not measured.
     """
     lengths = read_lengths(table_text(path, name=str(path)), name=str(path), known=False)
+    known = set(measured.ids)
     problems = [
         Problem(
             where=f"{path}, line {lengths.line[i]} (id {lengths.ids[i]})",
@@ -250,7 +66,7 @@ def read_pairs(path: Path, measured: Measured) -> LengthTable:
         )
         for i in range(len(lengths))
         for point in (lengths.start[i], lengths.end[i])
-        if point not in measured.ids
+        if point not in known
     ]
     if problems:
         raise InputError(problems)

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import secrets
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import tomli_w
 
 from calib.archive import archive
+from calib.certificate.assemble import assemble
+from calib.certificate.forms import render_forms
+from calib.certificate.inputs import new_issue
 from calib.dataset.contents import Dataset
 from calib.images.model_files import cameramodel_text, opencv_text
 from calib.ledger import LEDGER, ledger_text
@@ -16,6 +21,8 @@ from calib.report.context import report_context
 from calib.report.page import render_report
 from calib.results import Calibration, to_json
 from calib.store import Store, write_bytes
+
+CERTIFICATES = ("certificate.html", "certificate.pdf", "certificate.xml")
 
 
 def write_outputs(
@@ -29,29 +36,52 @@ def write_outputs(
         If the folder cannot be written.
     """
     out = store.out
+    # From here to the new ledger the folder is no finished run.
     (out / LEDGER).unlink(missing_ok=True)
     made = provenance(command=command, durations_s=store.durations)
     store.announce("report")
-    write_bytes(out / "calibration.json", to_json(calibration).encode())
-    write_bytes(out / "results.h5", archive(calibration))
-    report = render_report(calibration, report_context(dataset, made))
-    write_bytes(out / "report.html", report.encode())
-    cameras = _camera_files(calibration)
-    for name, text in cameras.items():
-        write_bytes(out / name, text.encode())
-    run = tomli_w.dumps(_run(calibration, made))
-    write_bytes(out / "run.toml", run.encode())
-    names = ("calibration.json", "results.h5", "report.html", *cameras, "run.toml")
-    write_bytes(out / LEDGER, ledger_text(out, fingerprint, names).encode())
-    return tuple(out / name for name in names)
+    files = _results(calibration) | _report(calibration, dataset, made)
+    files |= _certificate(calibration, dataset, made)
+    files["run.toml"] = tomli_w.dumps(_run(calibration, made)).encode()
+    for name, content in files.items():
+        write_bytes(out / name, content)
+    # A certificate of an earlier run must not lie beside results it does not certify.
+    for name in set(CERTIFICATES) - set(files):
+        (out / name).unlink(missing_ok=True)
+    write_bytes(out / LEDGER, ledger_text(out, fingerprint, files).encode())
+    return tuple(out / name for name in files)
 
 
-def _camera_files(calibration: Calibration) -> dict[str, str]:
-    """Return the calibrated cameras as files for mrcal and OpenCV, by file name."""
-    files = {}
+def _results(calibration: Calibration) -> dict[str, bytes]:
+    files = {
+        "calibration.json": to_json(calibration).encode(),
+        "results.h5": archive(calibration),
+    }
     for name, found in calibration.images.intrinsics.items():
-        files[f"{name}.yaml"] = opencv_text(found.camera)
-        files[f"{name}.cameramodel"] = cameramodel_text(found.camera)
+        files[f"{name}.yaml"] = opencv_text(found.camera).encode()
+        files[f"{name}.cameramodel"] = cameramodel_text(found.camera).encode()
+    return files
+
+
+def _report(calibration: Calibration, dataset: Dataset, made: Provenance) -> dict[str, bytes]:
+    report = render_report(calibration, report_context(dataset, made))
+    return {"report.html": report.encode()}
+
+
+def _certificate(calibration: Calibration, dataset: Dataset, made: Provenance) -> dict[str, bytes]:
+    """Return the certificate in its forms; nothing where there is nothing to certify."""
+    gaze = calibration.gaze
+    if gaze is None or gaze.calibrated is None or gaze.evidence is None:
+        return {}
+    # Equal seeds issue different certificates: the token is no result and not from the seed.
+    issue = new_issue(
+        now=datetime.now(UTC), dataset_sha256=calibration.sha256, token=secrets.token_hex(6)
+    )
+    inputs = assemble(calibration, dataset.manifest, gaze.evidence, issue=issue, made=made)
+    forms = render_forms(inputs)
+    files = {"certificate.html": forms.html.encode(), "certificate.xml": forms.xml}
+    if forms.pdf is not None:
+        files["certificate.pdf"] = forms.pdf
     return files
 
 

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from calib.dataset.contents import Dataset
-from calib.dataset.tables import GazeTable
+from calib.dataset.tables import GazeTable, LengthTable
 from calib.fit.posterior import Posterior
 from calib.fit.priors import Priors
 from calib.fit.robust import RobustFit
@@ -198,6 +199,9 @@ def _measure(
     if validation is not None:
         measured = stage("validation", "calib.instrument:measure_validation",
                          calibrated, validation, fitted.robust, seed=seed)
+    evidence = stage("certified depths", "calib.certificate.evidence:gather_evidence",
+                     calibrated, rows, validation, measured, _lengths(dataset),
+                     seed=seed, **_certified(dataset))
     # fmt: on
     return replace(
         result,
@@ -205,7 +209,22 @@ def _measure(
         calibrated=calibrated.value,
         depths=depths.value,
         validation=None if measured is None else measured.value,
+        evidence=evidence.get(),
     )
+
+
+def _lengths(dataset: Dataset) -> Staged[LengthTable] | None:
+    return None if dataset.lengths is None else given("lengths", dataset.lengths)
+
+
+def _certified(dataset: Dataset) -> dict[str, Any]:
+    """Return what the manifest says of the certificate's depths."""
+    stated, validation = dataset.manifest.certificate, dataset.manifest.validation
+    return {
+        "check_reference": None if validation is None else validation.reference,
+        "depth_rel": None if stated.tolerance is None else stated.tolerance.depth_rel,
+        "rule": stated.decision_rule,
+    }
 
 
 def _validation(

@@ -12,6 +12,7 @@ import numpy as np
 
 from calib import __version__
 from calib.arrays import FloatArray
+from calib.certificate.inputs import Evidence
 from calib.fit.compare import Comparison, ModelScore
 from calib.fit.convex import ConvexFit
 from calib.fit.linear import LinearFit
@@ -52,6 +53,8 @@ class GazeResult:
         None if no model could be fitted.
     validation
         None without validation rows.
+    evidence
+        Accuracy at the certified depths; None if no model could be fitted.
     """
 
     rows: Observations
@@ -65,6 +68,7 @@ class GazeResult:
     calibrated: CalibratedInstrument | None = None
     depths: DepthTable | None = None
     validation: ValidationResult | None = None
+    evidence: Evidence | None = None
 
 
 @dataclass(frozen=True)

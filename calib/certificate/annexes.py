@@ -33,7 +33,7 @@ NEARLY_ONE = 0.99
 """Correlations beyond it are printed with more digits."""
 
 SLIGHT_PERCENT = 0.05
-"""Pairs with a smaller share, which would print as 0.0, are summed in one row."""
+"""Inputs and pairs with a smaller share, which would print as 0.0, are summed in one row."""
 
 NONE = "-"
 """Of a cell that has nothing to say."""
@@ -70,7 +70,7 @@ def _budgets(depths: Sequence[CertifiedDepth]) -> Annex | None:
 
 def _budget(r: DepthUncertainty) -> Table:
     b = r.budget
-    rows = [*map(_budget_row, b.rows), *_pair_rows(b.correlations)]
+    rows = [*_input_rows(b.rows), *_pair_rows(b.correlations)]
     u = with_uncertainty(b.estimate, b.standard_uncertainty)
     rows.append(("depth z", f"{u.value} mm", f"{u.uncertainty} mm", *[NONE] * 5, "100.0"))
     return Table(
@@ -85,6 +85,22 @@ def _budget(r: DepthUncertainty) -> Table:
     )  # fmt: skip
 
 
+def _input_rows(inputs: Sequence[BudgetRow]) -> list[tuple[str, ...]]:
+    """Return a row an input; those without weight share one, unless they are parameters."""
+    weighty = [r.share_percent >= SLIGHT_PERCENT or r.input.name in INDEX for r in inputs]
+    rows = [_budget_row(r) for r, shown in zip(inputs, weighty, strict=True) if shown]
+    rest = [r.share_percent for r, shown in zip(inputs, weighty, strict=True) if not shown]
+    return [*rows, *_further(rest, "input")]
+
+
+def _further(shares: Sequence[float], what: str) -> list[tuple[str, ...]]:
+    """Return one row for all that is too slight for its own, if there is any."""
+    if not shares:
+        return []
+    words = f"{len(shares)} further {what}{'s' * (len(shares) > 1)}"
+    return [(words, *[NONE] * 7, fixed(sum(shares), 1))]
+
+
 def _pair_rows(pairs: Sequence[CorrelationRow]) -> list[tuple[str, ...]]:
     """Return a row a pair; those without weight share one."""
     rows = []
@@ -94,10 +110,7 @@ def _pair_rows(pairs: Sequence[CorrelationRow]) -> list[tuple[str, ...]]:
             share = fixed(pair.share_percent, 1)
             rows.append((both, _coefficient(pair.correlation), *[NONE] * 6, share))
     rest = [p.share_percent for p in pairs if abs(p.share_percent) < SLIGHT_PERCENT]
-    if rest:
-        words = f"{len(rest)} further pair{'s' * (len(rest) > 1)}"
-        rows.append((words, *[NONE] * 7, fixed(sum(rest), 1)))
-    return rows
+    return [*rows, *_further(rest, "pair")]
 
 
 def _budget_row(row: BudgetRow) -> tuple[str, ...]:

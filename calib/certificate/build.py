@@ -54,8 +54,9 @@ UNKNOWN_COUNTRY = "ZZ"
 LISTED = 10
 """Outliers listed by name."""
 
-SURPRISE = 0.01
-"""So improbable a number of errors beyond their uncertainty is remarked upon."""
+SURPRISE = 0.0501
+"""So improbable a number of errors beyond their 95 % uncertainty, one of one included, is remarked
+upon and rules out a pass."""
 
 
 def build_certificate(inputs: CertificateInputs) -> CertificateData:
@@ -206,7 +207,7 @@ def _relative(d: CertifiedDepth) -> float:
 def _cautions(inputs: CertificateInputs) -> tuple[str, ...]:
     evidence = inputs.evidence
     found = []
-    surprise = _unexplained([c for c in evidence.checks if not c.extrapolated])
+    surprise = _unexplained(evidence.checks)
     if surprise is not None:
         found.append(surprise)
     if any(d.extrapolated for d in evidence.depths):
@@ -257,6 +258,10 @@ def _conclusion(
     if not found or missing:
         return Conclusion(None, "No statement of conformity can be made for the whole range.", "")
     verdict = worst(c.verdict for c in found)
+    limited = ""
+    if verdict == "pass" and _unexplained(evidence.checks) is not None:
+        verdict = "conditionalPass"
+        limited = " No better statement is made, because an independent reference contradicts it."
     depths = sum(not d.extrapolated for d in evidence.depths)
     checks = sum(not c.extrapolated for c in evidence.checks)
     independent = f" and {checks} independent check{'s' * (checks != 1)}" if checks else ""
@@ -266,7 +271,7 @@ def _conclusion(
         words=f"Conformity over the calibrated range: {VERDICTS[verdict]}",
         basis=(
             f"The worst of {depths} certified depth{'s' * (depths != 1)}{independent} decides; the "
-            f"lowest probability of conformance is {percent_down(lowest)} %."
+            f"lowest probability of conformance is {percent_down(lowest)} %.{limited}"
         ),
     )
 

@@ -270,23 +270,21 @@ class CertificateData:
     sha256: str
 
     @property
-    def fields(self) -> tuple[Entry, ...]:
-        """The administrative fields in the order of the first page."""
+    def fields(self) -> tuple[tuple[Entry, ...], ...]:
+        """The administrative fields in the lines of the first page, one or two a line."""
         return (
-            Entry("Laboratory", self.laboratory),
-            Entry("Address of the laboratory", self.address),
-            Entry("Customer", self.customer),
-            Entry("Item calibrated", self.item),
-            Entry("Serial number", self.serial),
-            Entry("Condition on receipt", self.condition),
-            Entry("Date of receipt", self.received),
-            Entry("Place of calibration", self.place),
-            Entry("Date of calibration", self.calibrated),
-            Entry("Date of issue", self.issued),
-            Entry("Conditions", self.conditions),
-            Entry("Method", self.method),
-            Entry("Deviations", self.deviations),
-            Entry("Traceability", self.traceability),
-            Entry("Calibrated by", self.operator),
-            Entry("Authorised by", self.approved_by),
+            (Entry("Laboratory", self.laboratory),),
+            (Entry("Address", self.address),),
+            (Entry("Customer", self.customer),),
+            (Entry("Item calibrated", self.item),),
+            (Entry("Serial number", self.serial), Entry("Condition", self.condition)),
+            (Entry("Place of calibration", self.place), Entry("Conditions", self.conditions)),
+            (
+                Entry("Date of receipt", self.received),
+                Entry("Date of calibration", self.calibrated),
+            ),
+            (Entry("Date of issue", self.issued), Entry("Deviations", self.deviations)),
+            (Entry("Calibrated by", self.operator), Entry("Authorised by", self.approved_by)),
+            (Entry("Method", self.method),),
+            (Entry("Traceability", self.traceability),),
         )

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.random import SeedSequence
 
-from calib.arrays import FloatArray, IntArray
+from calib.arrays import IntArray
 from calib.certificate.inputs import Evidence, NotCertified
 from calib.dataset.tables import LengthTable
 from calib.errors import EstimationError
-from calib.geometry.plane import OBSERVABLE
+from calib.geometry.plane import OBSERVABLE, gaze_at
 from calib.instrument import CalibratedInstrument, ValidationResult
 from calib.observations import Observations
 from calib.observe import ValidationRows
@@ -23,7 +23,6 @@ from calib.uncertainty.certified import (
     depths_to_certify,
 )
 from calib.uncertainty.conformity import DecisionRule, ToleranceRule
-from calib.uncertainty.depth import reading_at
 from calib.uncertainty.lengths import LengthError, length_error, length_limit
 from calib.uncertainty.measurement import Instrument, Reading
 
@@ -69,7 +68,7 @@ def gather_evidence(
             certified.append(
                 certify_depth(
                     calibrated.instrument,
-                    _rays(calibrated.instrument, rows, z),
+                    _rays(calibrated, rows, z),
                     np.random.default_rng(own),
                     calibrated_mm=(low, high),
                     tolerance=tolerance,
@@ -89,26 +88,25 @@ def gather_evidence(
     )
 
 
-def _rays(instrument: Instrument, rows: Observations, z_mm: float) -> list[Reading]:
+def _rays(calibrated: CalibratedInstrument, rows: Observations, z_mm: float) -> list[Reading]:
     """Return readings at depth `z_mm` along the outermost and the middle rays of the rows."""
     order = np.argsort(rows.x1c, kind="stable")
     chosen = [int(order[0]), int(order[len(order) // 2]), int(order[-1])]
     if rows.has_height:
         chosen += [int(np.argmin(rows.y1c)), int(np.argmax(rows.y1c))]
+    some = list(dict.fromkeys(chosen))
+    ray = np.stack([rows.x1c[some], rows.y1c[some], np.ones(len(some))], axis=1)
+    gaze = gaze_at(calibrated.instrument.theta, z_mm * ray)
+    loadings = calibrated.loadings(gaze)
     return [
-        reading_at(
-            instrument.theta,
-            z_mm=z_mm,
-            x1c=float(rows.x1c[i]),
-            y1c=float(rows.y1c[i]),
-            shared=_loadings(rows, i),
+        Reading(
+            x1c=float(gaze.x1c[i]),
+            y1c=float(gaze.y1c[i]),
+            alpha2_rad=float(gaze.alpha2[i]),
+            shared=None if loadings is None else loadings[i],
         )
-        for i in dict.fromkeys(chosen)
+        for i in range(len(some))
     ]
-
-
-def _loadings(rows: Observations, i: int) -> FloatArray | None:
-    return rows.shared[i, : OBSERVABLE.z] if rows.shared_names else None
 
 
 def _checks(
@@ -173,7 +171,7 @@ def _points(rows: Observations, depth_of: IntArray) -> dict[str, Reading]:
             y1c=float(rows.y1c[i]),
             alpha2_rad=float(rows.alpha2_rad[i]),
             gaze_residual_rad=float(rows.gaze_residual_rad[i]),
-            shared=_loadings(rows, i),
+            shared=rows.shared[i, : OBSERVABLE.z] if rows.shared_names else None,
         )
         for i in range(len(rows))
     ]

@@ -12,7 +12,7 @@ from calib.arrays import FloatArray
 from calib.dataset.cells import Cells
 
 RADIANS_BELOW = 3.2
-"""Readings of a whole table below this are radians: as degrees, C2 would look straight at C1."""
+"""Readings below this are radians: as degrees, C2 would look straight at C1."""
 
 LARGEST_COTANGENT = 20.0
 """C2 within 3 degrees of looking straight at C1, or away from it: more likely an angle."""
@@ -48,7 +48,7 @@ def check_normalised(cells: Cells, column: str, values: FloatArray) -> None:
 
 
 def check_angles(cells: Cells, degrees: FloatArray) -> None:
-    """Report readings, deg, shape (n,), outside (0, 180), or all of which look like radians."""
+    """Report readings, deg, shape (n,), outside (0, 180), or that look like radians."""
     known = degrees[~np.isnan(degrees)]
     if len(known) and np.all((known > 0) & (known < RADIANS_BELOW)):
         cells.suspect(
@@ -57,6 +57,12 @@ def check_angles(cells: Cells, degrees: FloatArray) -> None:
             "give them in degrees; C2 looks parallel to Z of C1 at 90",
         )
         return
+    cells.report(
+        (degrees > 0) & (degrees < RADIANS_BELOW),
+        "alpha2_deg",
+        lambda i: f"{degrees[i]:g} among readings in degrees: radians?",
+        "give it in degrees; C2 looks parallel to Z of C1 at 90, straight at C1 at 0",
+    )
     cells.report(
         (degrees <= 0) | (degrees >= 180),
         "alpha2_deg",

@@ -20,7 +20,7 @@ from scipy.special import logsumexp
 
 from calib.arrays import FloatArray
 from calib.errors import EstimationError
-from calib.fit.density import log_posterior
+from calib.fit.density import LEARNING_RATE, log_posterior
 from calib.fit.importance import K_HAT_LIMIT, ImportanceSample, sample_importance
 from calib.fit.posterior import Posterior, laplace
 from calib.fit.priors import Priors
@@ -284,8 +284,10 @@ def _loo(
     for start in range(0, len(rows), step):
         part = np.arange(start, min(start + step, len(rows)))
         density = target.only(part).pointwise(draws).T
-        # A draw's weight once the row is left out: its own over the row's density.
-        log_weights, pareto_k[part] = array_stats.psislw(density - log_prior_weights)
+        # A draw's weight once the row is left out: its own over what the row gave it.
+        log_weights, pareto_k[part] = array_stats.psislw(
+            LEARNING_RATE * density - log_prior_weights
+        )
         log_weights -= logsumexp(log_weights, axis=1, keepdims=True)
         pointwise[part] = logsumexp(density + log_weights, axis=1)
     refitted, unreliable = [], []

@@ -4,6 +4,10 @@ Without encoder terms other than its zero, the closure is linear in twelve produ
 says: the sines and cosines of its reading times 1/z, x1c, y1c and 1, and those four themselves.
 For m vectors and n rows it is then one (m x 12) by (12 x n) matrix product; columns that a model
 never uses are left out.
+
+The rows' density enters with the power `LEARNING_RATE`. Their noise is nearly normal, the t density
+is there for the outliers among them; taken at its word it would make the posterior narrower than
+the estimates scatter.
 """
 
 from __future__ import annotations
@@ -15,7 +19,7 @@ from functools import cached_property
 import numpy as np
 
 from calib.arrays import BoolArray, FloatArray, IntArray
-from calib.fit.noise import CORE, DOF, log_density, row_noise
+from calib.fit.noise import CORE, DOF, EFFICIENCY, log_density, row_noise
 from calib.fit.priors import Priors, measured_of, prior_of
 from calib.geometry.parameters import INDEX, PARAMETERS, EncoderTerm, Model, embed
 from calib.geometry.plane import frame
@@ -24,7 +28,15 @@ from calib.observations import Observations
 CHUNK_ELEMENTS = 16_000
 """Vectors x rows evaluated at a time: above it the arrays leave the processor's cache."""
 
-_NOISE_TAIL = (DOF + 1) / 2
+LEARNING_RATE = EFFICIENCY
+"""Power of the rows' density: E psi' / E psi², which is the efficiency, as `CORE` makes E psi' one.
+
+With it the posterior's covariance on normal rows is the sampling covariance of the estimate
+(Lyddon et al. 2019, doi 10.1093/biomet/asz006). Without it 95 % intervals of parameters cover
+93.9 % at any number of rows: `calib study`, condition axis-offset-60.
+"""
+
+_NOISE_TAIL = LEARNING_RATE * (DOF + 1) / 2
 
 
 @dataclass(frozen=True)
@@ -75,8 +87,11 @@ class LogPosterior:
         theta, log_scale = embed(x[:, :-1], self.model.free), x[:, -1]
         mean, std = self.noise_prior
         total: FloatArray = -0.5 * ((x[:, :-1] @ self.root.T - self.target) ** 2).sum(axis=1)
-        total -= 0.5 * ((log_scale - mean) / std) ** 2 + len(self.rows) * log_scale
-        width = (DOF * CORE**2 * np.exp(2 * log_scale))[:, None]
+        total -= 0.5 * ((log_scale - mean) / std) ** 2
+        total -= LEARNING_RATE * len(self.rows) * log_scale
+        # A proposal far out in the tail: an infinite width is an answer, its prior refuses it.
+        with np.errstate(over="ignore"):
+            width = (DOF * CORE**2 * np.exp(2 * log_scale))[:, None]
         for miss in self._standardised(theta):
             total -= _NOISE_TAIL * _log_product(1 + miss * miss / width)
         return total

@@ -91,12 +91,16 @@ def read_cache(text: str, board: Board, *, where: str) -> Mapping[str, FloatArra
 
 def _parse(line: str) -> tuple[str, tuple[float, float]]:
     """Return name and corner of one line, or raise ValueError."""
-    name, *fields = line.strip().rsplit(maxsplit=3)
-    if len(fields) != 3:
+    missing = (np.nan, np.nan)
+    # Without a level there are three words; with one, the name may hold spaces.
+    words = line.split()
+    name, *fields = words if len(words) == 3 else line.strip().rsplit(maxsplit=3)
+    if len(fields) not in (2, 3):
         raise ValueError(line)
     if _MISSING in fields:
-        return name, (np.nan, np.nan)
-    x, y, level = (float(field) for field in fields)
-    if not np.isfinite([x, y, level]).all():
+        return name, missing
+    numbers = [float(field) for field in fields]
+    if not np.isfinite(numbers).all():
         raise ValueError(line)
-    return name, ((x, y) if level >= 0 else (np.nan, np.nan))
+    # mrcal's reader takes a negative number for "not found" too.
+    return name, ((numbers[0], numbers[1]) if min(numbers) >= 0 else missing)

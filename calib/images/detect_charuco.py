@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import cv2
 import numpy as np
 
@@ -20,13 +22,18 @@ LINES_MIN = 2
 """Fewest rows and columns they must span: corners in one line leave the pose open."""
 
 
+ENLARGE_SIDE_PX, ENLARGEMENT = 1300, 2
+"""Pictures up to this side are enlarged before the search. On VGA with squares of 17 to 20 px that
+finds 90 % of the corners instead of 71 %, to 0.055 px instead of 0.20."""
+
 WINDOW_MARKER_SHARE = 0.8
 """Half a refinement window, as a share of the white rim of the markers: with a marker's corner in
 it, a window of 0.3 spacings moved corners by 0.3 px, while this one halves the 0.04 px of OpenCV's
 own choice."""
 
-WINDOW_MIN_PX, WINDOW_MAX_PX = 4, 20
-"""Where the rim asks for less, OpenCV's corner is the better one."""
+WINDOW_MIN_PX, WINDOW_MAX_PX = 5, 20
+"""Half a window of 3 px loses corners to noise. Where the rim asks for less than 5, an enlarged
+picture allows it nevertheless, being blurred; in others OpenCV's corner is the better one."""
 
 
 class CharucoFinder:
@@ -60,25 +67,29 @@ class CharucoFinder:
 
     def find(self, grey: Grey) -> Found:
         """Look for the board in a grey picture; corners not seen are NaN."""
+        factor = ENLARGEMENT if max(grey.shape) <= ENLARGE_SIDE_PX else 1
+        if factor > 1:
+            grey = cv2.resize(grey, None, fx=factor, fy=factor, interpolation=cv2.INTER_CUBIC)
         corners, ids = self._detector.detectBoard(grey)[:2]
         pixels = np.full((self._board.corner_count, 2), np.nan)
         if ids is not None:
             pixels[np.ravel(ids)] = np.reshape(corners, (-1, 2))
-            pixels = self._settle(grey, pixels)
-        good = _suffices(seen(pixels), self._board)
-        return Found(pixels, "charuco") if good else Found(np.full_like(pixels, np.nan), "none")
-
-    def _settle(self, grey: Grey, pixels: FloatArray) -> FloatArray:
-        """Refine corners and drop those off the grid that the others make."""
         if not _suffices(seen(pixels), self._board):
-            return pixels
-        pixels = refine(grey, pixels, self._board, self._windows)
-        return np.where(irregular(pixels, self._board)[:, None], np.nan, pixels)
+            return self._nothing()
+        pixels = refine(grey, pixels, self._board, partial(self._windows, enlarged=factor > 1))
+        pixels = np.where(irregular(pixels, self._board)[:, None], np.nan, pixels)
+        if not _suffices(seen(pixels), self._board):
+            return self._nothing()
+        return Found((pixels + 0.5) / factor - 0.5, "charuco")
 
-    def _windows(self, gaps: FloatArray) -> FloatArray:
+    def _nothing(self) -> Found:
+        return Found(np.full((self._board.corner_count, 2), np.nan), "none")
+
+    def _windows(self, gaps: FloatArray, *, enlarged: bool) -> FloatArray:
         """Return half the window of corners with spacings `gaps`, px; 0 leaves a corner alone."""
         half = np.minimum(np.round(WINDOW_MARKER_SHARE * self._rim * gaps), WINDOW_MAX_PX)
-        return np.where(half < WINDOW_MIN_PX, 0.0, half)
+        least = WINDOW_MIN_PX if enlarged else 0.0
+        return np.where(half < WINDOW_MIN_PX, least, half)
 
 
 def _suffices(found: BoolArray, board: Board) -> bool:

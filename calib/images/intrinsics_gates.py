@@ -114,14 +114,13 @@ def intrinsics_gates(
         _focal_gate(name, fit),
     ]
     if agreement is not None:
-        ratio = agreement.rms_px / agreement.expected_rms_px
         gates.append(
             gate(
                 f"{name}-backends",
-                ratio <= AGREEMENT_MAX,
+                agreement.ratio <= AGREEMENT_MAX,
                 f"{agreement.first} and {agreement.second} differ by {agreement.rms_px:.3f} px rms "
-                f"over the covered imager, {ratio:.2f} of their stated uncertainty (at most "
-                f"{AGREEMENT_MAX:g})",
+                f"over the covered imager, {agreement.ratio:.2f} of their stated uncertainty (at "
+                f"most {AGREEMENT_MAX:g})",
                 remedy="compare the difference map with the coverage and add pictures where it is "
                 "large",
             )
@@ -186,9 +185,9 @@ def intrinsics_warnings(
         )
     if splined is None or not all(gate.passed for gate in gates):
         return
-    if splined.rms_px > SPLINE_WARN * splined.expected_rms_px:
+    if splined.ratio > SPLINE_WARN:
         yield (
             f"{name}: {splined.second} differs from {splined.first} by {splined.rms_px:.2f} px rms "
-            f"over the covered imager, {splined.rms_px / splined.expected_rms_px:.1f} times their "
+            f"over the covered imager, {splined.ratio:.1f} times their "
             "stated uncertainty: the lens has more shape than its model"
         )

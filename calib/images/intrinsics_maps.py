@@ -118,6 +118,8 @@ class LensDifference:
         Of the length of the difference over covered nodes, px.
     expected_rms_px
         Of `expected_px` over covered nodes.
+    ratio
+        Root mean square over covered nodes of the difference over what is expected there.
     """
 
     first: str
@@ -129,6 +131,7 @@ class LensDifference:
     rms_px: float
     max_px: float
     expected_rms_px: float
+    ratio: float
 
 
 def measure_coverage(pixels: FloatArray, image_size: tuple[int, int]) -> Coverage:
@@ -219,6 +222,7 @@ def compare(first: LensFit, second: LensRays, at: Nodes) -> LensDifference:
         rms_px=float(np.sqrt(np.mean(length**2))),
         max_px=float(length.max()),
         expected_rms_px=float(np.sqrt(np.mean(expected[inside] ** 2))),
+        ratio=float(np.sqrt(np.mean((length / expected[inside]) ** 2))),
     )
 
 

@@ -13,18 +13,17 @@ import subprocess
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import CalibError, EstimationError
+from calib.mrcal_python import INTERPRETER_VARIABLE, mrcal_interpreter
 
-INTERPRETER_VARIABLE = "CALIB_MRCAL_PYTHON"
-"""Environment variable with the interpreter that has mrcal."""
-
-DEFAULT_INTERPRETER = "/usr/bin/python3"
-"""Where the distributions' package puts mrcal."""
+if TYPE_CHECKING:
+    # Run elsewhere, but the results depend on it: fingerprints follow imports.
+    from calib.images import mrcal_worker  # noqa: F401
 
 INSTALL = "apt install python3-mrcal"
 """How Debian and Ubuntu users get mrcal."""
@@ -51,7 +50,7 @@ def call_worker(arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
     EstimationError
         If mrcal fails, crashes or hangs.
     """
-    interpreter = os.environ.get(INTERPRETER_VARIABLE, DEFAULT_INTERPRETER)
+    interpreter = mrcal_interpreter()
     # The variables that steer this interpreter are not meant for that one. One thread: the sums,
     # and so the last digits, are then the same on every machine.
     environment = {k: v for k, v in os.environ.items() if not k.startswith("PYTHON")}

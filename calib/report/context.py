@@ -9,6 +9,7 @@ import numpy as np
 
 from calib.dataset.contents import Dataset
 from calib.dataset.manifest import DEFAULT_U_X1C, Manifest
+from calib.dataset.tables import GazeTable
 from calib.provenance import Provenance
 from calib.uncertainty.format import significant
 
@@ -108,6 +109,8 @@ def _statements(dataset: Dataset) -> list[Statement]:
                 Statement("further u(α2) of a reading", f"{e.u_alpha2_deg:g}°", IN_MANIFEST)
             )
     if m.gaze is not None and dataset.gaze is not None:
+        if any(dataset.gaze.image_c1):
+            found.append(Statement("x1c, y1c of a row", "with its covariance", "pictures of C1"))
         if np.isfinite(dataset.gaze.x1c).any():
             stated = m.gaze.u_x1c != DEFAULT_U_X1C
             found.append(
@@ -115,19 +118,20 @@ def _statements(dataset: Dataset) -> list[Statement]:
                     "u(x1c) of a row", f"{m.gaze.u_x1c:g}", IN_MANIFEST if stated else BY_DEFAULT
                 )
             )
-        own = bool(np.isfinite(dataset.gaze.u_z_mm).any())
-        found.append(_depth("calibration", m.gaze.u_z_mm, m.gaze.u_z_rel, own=own))
+        found.append(_depth("calibration", dataset.gaze, m.gaze.u_z_mm, m.gaze.u_z_rel))
     if m.validation is not None and dataset.validation is not None:
-        own = bool(np.isfinite(dataset.validation.u_z_mm).any())
-        found.append(_depth("validation", m.validation.u_z_mm, m.validation.u_z_rel, own=own))
+        u_z_mm, u_z_rel = m.validation.u_z_mm, m.validation.u_z_rel
+        found.append(_depth("validation", dataset.validation, u_z_mm, u_z_rel))
     return found
 
 
-def _depth(kind: str, u_mm: float, u_rel: float, *, own: bool) -> Statement:
+def _depth(kind: str, rows: GazeTable, u_mm: float, u_rel: float) -> Statement:
     """Return the statement on the uncertainty of reference depths."""
     parts = [f"{u_mm:g} mm"] if u_mm else []
     parts += [f"{significant(100 * u_rel, digits=2)} % of z"] if u_rel else []
     what = f"u(z) of a {kind} row's reference"
-    if own:
+    if any(rows.stereo):
+        return Statement(what, "with its covariance", "stereo pairs")
+    if np.isfinite(rows.u_z_mm).any():
         return Statement(what, "each its own", IN_ROWS)
     return Statement(what, " and ".join(parts) or "none stated: taken as exact", IN_MANIFEST)

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 from markupsafe import Markup
 
+from calib.arrays import FloatArray
 from calib.fit.priors import NOISE_SCALE
 from calib.geometry.parameters import INDEX, PARAMETERS
 from calib.report.blocks import EMPTY, Cell, number
@@ -37,9 +39,20 @@ def digits(value: float | None, count: int = 3, *, mark: str = "") -> Cell:
     return number(signed(significant(value, digits=count)), value, mark=mark)
 
 
-def percent(value: float | None, count: int = 2) -> Cell:
-    """Return a cell with a ratio in per cent."""
-    return EMPTY if value is None or math.isnan(value) else decimals(100 * value, count)
+def percent(value: float | None) -> Cell:
+    """Return a cell with a ratio in per cent, two significant digits."""
+    return EMPTY if value is None or math.isnan(value) else digits(100 * value, 2)
+
+
+def places(values: FloatArray) -> int:
+    """Return the decimals with which a column shows two digits of its middling entry."""
+    size = np.abs(values[np.isfinite(values) & (values != 0)])
+    if not len(size):
+        return 1
+    return int(np.clip(1 - np.floor(np.log10(np.median(size))), 0, MOST_PLACES))
+
+
+MOST_PLACES = 6
 
 
 def plus_minus(value: float, u: float, *, factor: float = 1.0) -> str:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import base64
 import csv
 import io
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -31,16 +32,17 @@ ORANGE, VERMILLION, PURPLE = "#E69F00", "#D55E00", "#CC79A7"
 
 CSS_PX_PER_INCH = 96
 
-RASTER_DPI = 150
+RASTER_DPI = 120
 """Of clouds and pictures inside the figures: sharp on paper, small in the file."""
 
-MANY_POINTS = 2000
+MANY_POINTS = 600
 """Points beyond which a cloud is rasterised: an SVG point takes some 60 bytes."""
 
-DATA_ROWS = 5000
+DATA_ROWS = 2000
 """Rows of a figure's data file; more are thinned evenly, `results.h5` has them all."""
 
 LABEL_LENGTH = 8
+LEGEND_LENGTH = 36
 MANY_LABELS = 40
 
 
@@ -147,11 +149,47 @@ def in_house_style(function: Callable[P, R]) -> Callable[P, R]:
     return styled
 
 
-def new_figure(*, width_in: float, height_in: float) -> Figure:
-    """Return an empty figure whose layout keeps labels apart."""
-    figure = Figure(figsize=(width_in, height_in), layout="constrained")
+@dataclass(frozen=True)
+class Margins:
+    """Room about the panels, in; `between` them in widths of a panel.
+
+    Fixed, because matplotlib's layout engines draw every figure twice.
+    """
+
+    left: float = 0.72
+    right: float = 0.15
+    bottom: float = 0.5
+    top: float = 0.38
+    between: float = 0.3
+
+
+DEFAULT_MARGINS = Margins()
+
+
+def new_figure(
+    *, height_in: float, width_in: float = 7.4, margins: Margins = DEFAULT_MARGINS
+) -> Figure:
+    """Return an empty figure."""
+    figure = Figure(figsize=(width_in, height_in))
     FigureCanvasAgg(figure)
+    figure.subplots_adjust(
+        left=margins.left / width_in,
+        right=1 - margins.right / width_in,
+        bottom=margins.bottom / height_in,
+        top=1 - margins.top / height_in,
+        wspace=margins.between,
+    )
     return figure
+
+
+def legend(figure: Figure, axes: Axes) -> None:
+    """Name what a panel shows in one line above the figure's panels."""
+    handles, labels = axes.get_legend_handles_labels()
+    drawn = figure.legend(
+        handles, labels, loc="upper right", ncols=max(len(labels), 1), borderaxespad=0.3
+    )
+    for text in drawn.get_texts():
+        text.set_parse_math(False)
 
 
 def picture(key: str, drawing: Drawing, caption: Text) -> Picture:
@@ -170,8 +208,16 @@ def svg(figure: Figure) -> bytes:
     """Return a figure as SVG; the same figure gives the same bytes."""
     buffer = io.BytesIO()
     with house_style():
-        figure.savefig(buffer, format="svg", dpi=RASTER_DPI, metadata={"Date": None})
-    return buffer.getvalue()
+        figure.savefig(buffer, format="svg", dpi=RASTER_DPI, metadata=_NO_METADATA)
+    text = buffer.getvalue().decode()
+    # Prologue, comments and indentation say nothing; a hundredth of a point is beyond any printer.
+    text = re.sub(r"<!--.*?-->|\n\s*", " ", text[text.index("<svg") :], flags=re.DOTALL)
+    return _LONG_COORDINATE.sub(r"\1", text).encode()
+
+
+_NO_METADATA: Any = dict.fromkeys(("Creator", "Date", "Format", "Type"))
+
+_LONG_COORDINATE = re.compile(r"(?<![\d.])([1-9]\d*\.\d\d)\d+")
 
 
 def data_uri(kind: str, content: bytes) -> str:
@@ -199,10 +245,15 @@ def csv_text(data: Mapping[str, Column]) -> str:
 
 
 def _entry(value: object) -> object:
-    """Return a value as it is written: floats to nine digits, what does not exist empty."""
+    """Return a value as it is written: floats to seven digits, what does not exist empty."""
     if isinstance(value, float | np.floating):
-        return "" if np.isnan(value) else f"{value:.9g}"
+        return "" if np.isnan(value) else f"{value:.7g}"
     return "" if value is None else value
+
+
+def from_zero(axes: Axes) -> None:
+    """Let the y axis of positive values begin at 0, with room above the largest."""
+    axes.set_ylim(0, 1.05 * axes.get_ylim()[1])
 
 
 def thinned(count: int, most: int) -> NDArray[np.intp]:
@@ -217,6 +268,12 @@ def cloud(axes: Axes, x: NDArray[Any], y: NDArray[Any], look_: Look, **style: An
     many = len(x) > MANY_POINTS
     settings = {"markersize": 2.0 if many else 5.0, "rasterized": many} | style
     axes.plot(x, y, linestyle="none", marker=look_.marker, color=look_.colour, **settings)
+
+
+def plain(text: str, otherwise: str) -> str:
+    """Return a text of others as it may stand on a figure, or what to write instead."""
+    fits = text.isascii() and text.isprintable() and len(text) <= LEGEND_LENGTH
+    return text if fits else otherwise
 
 
 def label_rows(axes: Axes, ids: Sequence[str], *, what: str) -> None:

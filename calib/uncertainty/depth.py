@@ -119,17 +119,8 @@ class PositionUncertainty:
         return r
 
 
-def reading_at(
-    theta: FloatArray,
-    *,
-    z_mm: float,
-    x1c: float,
-    y1c: float = 0.0,
-    shared: FloatArray | None = None,
-) -> Reading:
+def reading_at(theta: FloatArray, *, z_mm: float, x1c: float, y1c: float = 0.0) -> Reading:
     """Return what an instrument with parameters `theta`, shape (COUNT,), reads of a point.
-
-    `shared` holds the loadings of the shared errors on the reading, shape (4, m).
 
     Raises
     ------
@@ -137,7 +128,7 @@ def reading_at(
         If C2 cannot gaze at the point.
     """
     gaze = gaze_at(theta, np.array([[x1c * z_mm, y1c * z_mm, z_mm]]))
-    return Reading(x1c, y1c, float(gaze.alpha2[0]), shared=shared)
+    return Reading(x1c, y1c, float(gaze.alpha2[0]))
 
 
 def depth_budget(instrument: Instrument, reading: Reading) -> Budget:
@@ -234,11 +225,13 @@ def position_uncertainty(
     order = np.argsort(values)[::-1]
     values, vectors = np.maximum(values[order], 0), vectors[:, order]
     solid = values > FLAT_AXIS * values[0]
-    away = (model.positions(drawn)[:, 0] - model.estimate[0]) @ vectors[:, solid]
-    with np.errstate(invalid="ignore"):
-        distance = np.linalg.norm(away / np.sqrt(values[solid]), axis=1)
+    points = model.positions(drawn)[:, 0]
     # A point at infinity lies outside every ellipsoid.
-    distance = np.sort(np.where(np.isfinite(distance), distance, np.inf))
+    distance = np.full(len(points), np.inf)
+    finite = np.isfinite(points).all(axis=1)
+    away = (points[finite] - model.estimate[0]) @ vectors[:, solid]
+    distance[finite] = np.linalg.norm(away / np.sqrt(values[solid]), axis=1)
+    distance.sort()
     factor = float(distance[int(np.ceil(COVERAGE * len(distance))) - 1])
     return PositionUncertainty(
         position_mm=model.estimate[0],

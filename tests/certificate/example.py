@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 
@@ -14,11 +15,12 @@ from calib.certificate.inputs import (
     Derived,
     Evidence,
     Issue,
+    NotCertified,
     Provenance,
 )
 from calib.gates import Gate
 from calib.uncertainty.certified import CertifiedDepth, certify_depth, check_depth
-from calib.uncertainty.conformity import ToleranceRule
+from calib.uncertainty.conformity import ToleranceRule, assess, measured_conformity
 from calib.uncertainty.depth import reading_at
 from calib.uncertainty.lengths import length_error, length_limit
 from calib.uncertainty.measurement import Instrument, ParameterKnowledge, ReadingSpread, Spread
@@ -32,6 +34,8 @@ READING = ReadingSpread(
     y1c=Spread(normal=1.5e-4),
     alpha2_rad=Spread(width=math.radians(0.05625)),
 )
+
+TOLERANCE = ToleranceRule(0.02, "guard-band")
 
 STATED = Administration(
     laboratory="Institute of Automation, Vision Laboratory",
@@ -50,7 +54,48 @@ STATED = Administration(
     country="CN",
 )
 
-HOSTILE = "<script>alert('x')</script> \"quoted\" & \u202egnp.exe\u202c \x07 שלום " + "W" * 300
+HOSTILE = (
+    "<script>alert('x')</script> \"quoted\" & ]]> {{ 7 * 7 }} "
+    "\u202egnp.exe\u202c \x07\ud800\ufffe שלום " + "W" * 300
+)
+
+
+def hostile() -> CertificateInputs:
+    """A manifest, gates and names that attack every form."""
+    plain = inputs()
+    administration = Administration(
+        **{
+            name: HOSTILE
+            for name, value in vars(STATED).items()
+            if isinstance(value, str | None) and name not in ("date", "received", "country")
+        }
+    )
+    checks = tuple(replace(c, name=HOSTILE) for c in plain.evidence.checks)
+    lengths = tuple(replace(e, name=HOSTILE) for e in plain.evidence.lengths)
+    evidence = replace(
+        plain.evidence,
+        checks=checks,
+        lengths=lengths,
+        check_reference=HOSTILE,
+        not_certified=(NotCertified(3000.0, HOSTILE),),
+    )
+    return replace(
+        plain,
+        administration=administration,
+        provenance=replace(
+            plain.provenance,
+            dataset_name=HOSTILE,
+            dataset_title=HOSTILE,
+            citation=HOSTILE,
+            commit=HOSTILE,
+        ),
+        calibration=replace(
+            plain.calibration, reference=HOSTILE, outliers=(HOSTILE,), intrinsics=HOSTILE
+        ),
+        evidence=evidence,
+        gates=(Gate(HOSTILE, True, HOSTILE),),
+        warnings=(HOSTILE,),
+    )
 
 
 def instrument(*, posterior: bool) -> Instrument:
@@ -85,7 +130,48 @@ def certified(
     )
 
 
-def evidence(rig: Instrument, tolerance: ToleranceRule | None) -> Evidence:
+def evidence(posterior: bool, tolerance: ToleranceRule | None) -> Evidence:
+    """Return the evidence, computed once, under any tolerance."""
+    found = _evidence(posterior)
+    if tolerance == TOLERANCE:
+        return found
+    depths = tuple(
+        replace(
+            d,
+            conformity=tolerance
+            and assess(
+                error_mm=0.0,
+                standard_uncertainty_mm=d.conformity.standard_uncertainty_mm,
+                expanded_uncertainty_mm=d.conformity.expanded_uncertainty_mm,
+                limit_mm=tolerance.depth_rel * d.result.z_mm,
+                rule=tolerance.rule,
+            ),
+        )
+        for d in found.depths
+        if d.conformity is not None
+    )
+    checks = tuple(
+        replace(
+            c,
+            conformity=tolerance
+            and measured_conformity(
+                z_mm=c.z_mm,
+                u_mm=c.u_mm,
+                low95_mm=c.low95_mm,
+                high95_mm=c.high95_mm,
+                reference_mm=c.reference_mm,
+                u_reference_mm=c.u_reference_mm,
+                tolerance=tolerance,
+            ),
+        )
+        for c in found.checks
+    )
+    return replace(found, depths=depths, checks=checks, tolerance=tolerance)
+
+
+@cache
+def _evidence(posterior: bool) -> Evidence:
+    rig, tolerance = instrument(posterior=posterior), TOLERANCE
     checks = tuple(
         check_depth(
             name=name,
@@ -122,7 +208,7 @@ def evidence(rig: Instrument, tolerance: ToleranceRule | None) -> Evidence:
         )
     )
     return Evidence(
-        depths=certified(rig, (490, 620, 740, 870, 1000, 1500), tolerance),
+        depths=certified(rig, (490, 740, 1000, 1500), tolerance),
         checks=checks,
         check_reference="ruler",
         lengths=lengths,
@@ -135,7 +221,7 @@ def inputs(
     *,
     administration: Administration = STATED,
     posterior: bool = True,
-    tolerance: ToleranceRule | None = ToleranceRule(0.02, "guard-band"),  # noqa: B008 - frozen
+    tolerance: ToleranceRule | None = TOLERANCE,
 ) -> CertificateInputs:
     rig = instrument(posterior=posterior)
     p = rig.parameters
@@ -173,7 +259,7 @@ def inputs(
             ),
             intrinsics="given in the dataset",
         ),
-        evidence=evidence(rig, tolerance),
+        evidence=evidence(posterior, tolerance),
         gates=(
             Gate("convergence", True, "R-hat 1.002, 4300 effective draws"),
             Gate("agreement", True, "importance sampling agrees, k-hat 0.31"),

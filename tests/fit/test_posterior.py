@@ -9,7 +9,7 @@ from numpy.random import SeedSequence
 from scipy.stats import multivariate_normal
 
 from calib.fit.compare import compare_models, select, stacking_weights
-from calib.fit.density import log_posterior
+from calib.fit.density import LEARNING_RATE, log_posterior
 from calib.fit.importance import sample_importance
 from calib.fit.noise import log_density, row_noise
 from calib.fit.posterior import ENSEMBLES, Posterior, laplace, sample_posterior
@@ -53,7 +53,8 @@ def test_log_posterior_is_the_sum_of_its_parts(name: str) -> None:
         free = draw[:-1]
         quadratic = free @ knowledge.precision @ free / 2 - free @ knowledge.shift
         noise = ((draw[-1] - 0.2) / 0.5) ** 2 / 2
-        expected.append(log_density(miss, draw[-1]).sum() - quadratic - noise)
+        rows_part = LEARNING_RATE * log_density(miss, draw[-1]).sum()
+        expected.append(rows_part - quadratic - noise)
     np.testing.assert_allclose(np.diff(target(draws)), np.diff(expected), rtol=1e-9, atol=1e-8)
     pointwise = target.pointwise(draws)
     np.testing.assert_allclose(

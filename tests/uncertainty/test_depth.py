@@ -81,7 +81,7 @@ def test_position_jacobian_agrees_with_central_differences() -> None:
         (2000, 85, 6, (60, 20, 19.79), 99.8, 31.9, 22.0, (4.99, 1.60, 1.10)),
     ],
 )
-def test_worked_error_examples_of_xu_and_wang(  # noqa: PLR0917 - the columns of a table
+def test_worked_error_examples_of_xu_and_wang(
     z: float,
     alpha_deg: float,
     d_baseline: float,
@@ -328,3 +328,18 @@ def test_inputs_without_influence_get_no_row() -> None:
     spread = ReadingSpread(x1c=Spread(normal=1e-4), y1c=Spread(normal=1e-4))
     table = depth_budget(Instrument(known_case.knowledge(), spread), known_case.READING)
     assert [row.input.name for row in table.rows] == ["baseline_mm", "delta2_rad", "x1c"]
+
+
+def test_points_at_infinity_lie_outside_the_ellipsoid() -> None:
+    """A depth so loose that some trials never meet: the ellipsoid grows, and stays finite."""
+    p = known_case.knowledge()
+    loose = ParameterKnowledge(p.names, p.values, 900 * p.covariance, math.inf, p.evaluation)
+    instrument = Instrument(loose, ReadingSpread(x1c=Spread(normal=1e-3)))
+    reading = reading_at(instrument.theta, z_mm=2000, x1c=0.05)
+    model = MeasurementModel(instrument, [reading])
+    rng = np.random.default_rng(1)
+    drawn = np.hstack([draw(block, rng, 20_000) for block in model.blocks])
+    missed = np.mean(~np.isfinite(model.positions(drawn)).all(axis=(1, 2)))
+    assert 0 < missed < 0.05
+    result = position_uncertainty(instrument, reading, np.random.default_rng(2))
+    assert CHI_95_3 < result.coverage_factor < math.inf

@@ -15,6 +15,7 @@ from calib.report.plotting import (
     VERMILLION,
     Drawing,
     in_house_style,
+    legend,
     new_figure,
 )
 from calib.uncertainty.montecarlo import NORMAL_FACTOR
@@ -26,7 +27,7 @@ WIDEST = 100.0
 @in_house_style
 def draw_depth_uncertainty(table: DepthTable, calibrated_mm: FloatArray) -> Drawing:
     """Draw the 95 % interval of a depth, in per cent, with the linear law beside it."""
-    figure = new_figure(width_in=7.4, height_in=3.4)
+    figure = new_figure(height_in=3.4)
     axes = figure.subplots()
     z, p = table.depth_mm, table.prediction
     low, high = (100 * (x / z - 1) for x in (p.low95_mm, p.high95_mm))
@@ -46,7 +47,7 @@ def draw_depth_uncertainty(table: DepthTable, calibrated_mm: FloatArray) -> Draw
     axes.axhline(0, color=GREY, lw=0.8)
     _mark_extrapolated(axes, z, calibrated_mm)
     axes.set(xlabel="depth z / mm", ylabel="(measured depth − z) / % of z", xlim=(z[0], z[-1]))
-    figure.legend(loc="outside upper right", ncols=3)
+    legend(figure, axes)
     return Drawing(
         figure,
         f"95 % interval of a measured depth: {low[0]:+.2g} to {high[0]:+.2g} % at {z[0]:.0f} mm, "

@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from calib.arrays import BoolArray, FloatArray
 from calib.images.intrinsics import Intrinsics
@@ -18,13 +19,18 @@ from calib.report.plotting import (
     GREY,
     MANY_POINTS,
     Drawing,
+    Margins,
+    from_zero,
     in_house_style,
+    legend,
     look,
     new_figure,
     thinned,
 )
 
-ARROWS = 1500
+MAPS = Margins(left=0.55, right=0.3, top=0.3, between=0.25)
+
+ARROWS = 400
 """Residual arrows drawn at most; more make a carpet."""
 
 ARROW_SHARE = 0.03
@@ -43,14 +49,18 @@ def draw_coverage(i: Intrinsics, corners: FloatArray) -> Drawing:
     corners
         Of the used views, px, shape (..., 2); NaN where missing.
     """
-    figure = new_figure(width_in=7.4, height_in=3.0)
+    figure = new_figure(height_in=2.9, margins=MAPS)
     seen, sure = figure.subplots(1, 2)
     at = corners[np.isfinite(corners).all(axis=-1)]
     width, height = i.camera.image_size
     counts = i.coverage.counts
     empty = np.ma.masked_greater(counts, 0)
-    edges = _edges(width, counts.shape[1]), _edges(height, counts.shape[0])
-    seen.pcolormesh(*edges, empty, cmap=ListedColormap(["#f3d3bd"]), rasterized=True)
+    seen.imshow(
+        empty,
+        cmap=ListedColormap(["#f3d3bd"]),
+        extent=(-0.5, width - 0.5, height - 0.5, -0.5),
+        interpolation="nearest",
+    )
     seen.plot(*at.T, ".", color=BLUE, ms=1.6, rasterized=len(at) > MANY_POINTS)
     seen.set_title("Corners used; cells without any shaded")
     m = i.uncertainty
@@ -58,6 +68,7 @@ def draw_coverage(i: Intrinsics, corners: FloatArray) -> Drawing:
     sure.set_title("Projection uncertainty; × no corner near")
     for axes in (seen, sure):
         _imager(axes, i)
+    sure.set_ylabel("")
     covered = m.std_px[m.covered & np.isfinite(m.std_px)]
     return Drawing(
         figure,
@@ -72,14 +83,14 @@ def draw_coverage(i: Intrinsics, corners: FloatArray) -> Drawing:
 @in_house_style
 def draw_difference(i: Intrinsics, difference: LensDifference) -> Drawing:
     """Draw how two calibrations of the camera differ over the imager."""
-    figure = new_figure(width_in=7.4, height_in=3.0)
+    figure = new_figure(height_in=2.9, margins=MAPS)
     axes, scaled = figure.subplots(1, 2)
     d = difference
     length = np.linalg.norm(d.difference_px, axis=-1)
     _map(figure, axes, d.pixels, length, d.covered, "length / px")
     axes.quiver(
-        *d.pixels.reshape(-1, 2).T,
-        *d.difference_px.reshape(-1, 2).T,
+        *d.pixels[d.covered].T,
+        *d.difference_px[d.covered].T,
         color="white",
         angles="xy",
         pivot="mid",
@@ -92,6 +103,7 @@ def draw_difference(i: Intrinsics, difference: LensDifference) -> Drawing:
     scaled.set_title("Over the stated uncertainty of both")
     for a in (axes, scaled):
         _imager(a, i)
+    scaled.set_ylabel("")
     return Drawing(
         figure,
         f"Camera {i.name.upper()}: {d.second} less {d.first}. Where corners are, the difference is "
@@ -118,7 +130,7 @@ def draw_residuals(i: Intrinsics, corners: FloatArray) -> Drawing:
     corners
         Of the used views, px, shape (views, corners, 2).
     """
-    figure = new_figure(width_in=7.4, height_in=3.0)
+    figure = new_figure(height_in=3.1, margins=MAPS)
     arrows, cloud = figure.subplots(1, 2, width_ratios=(1.5, 1.0))
     kept = np.isfinite(i.selected.residuals).all(axis=-1)
     at, off = corners[kept], i.selected.residuals[kept]
@@ -132,7 +144,6 @@ def draw_residuals(i: Intrinsics, corners: FloatArray) -> Drawing:
         scale_units="xy",
         scale=scale,
         width=0.0025,
-        rasterized=True,
     )
     arrows.set_title(f"Residuals, {1 / scale:.0f} times enlarged")
     _imager(arrows, i)
@@ -148,7 +159,7 @@ def draw_residuals(i: Intrinsics, corners: FloatArray) -> Drawing:
         f"Camera {i.name.upper()}: residuals of {len(at)} corners, {i.selected.rms_px:.3f} px root "
         f"mean square per coordinate; the largest has {np.linalg.norm(off, axis=1).max():.2f} px.",
         {
-            "image": [i.images[k] for k in np.nonzero(kept)[0]],
+            "view": np.nonzero(kept)[0],
             "u_px": at[:, 0],
             "v_px": at[:, 1],
             "du_px": off[:, 0],
@@ -160,7 +171,7 @@ def draw_residuals(i: Intrinsics, corners: FloatArray) -> Drawing:
 @in_house_style
 def draw_cross_validation(i: Intrinsics) -> Drawing:
     """Draw the error of each view when it was left out, under each lens model."""
-    figure = new_figure(width_in=7.4, height_in=2.6)
+    figure = new_figure(height_in=2.6)
     axes = figure.subplots()
     v = i.validation
     place = np.arange(len(i.images))
@@ -176,8 +187,9 @@ def draw_cross_validation(i: Intrinsics) -> Drawing:
             label=f"{lens}, chosen" if chosen else lens,
         )
     axes.set(xlabel="view, by its place among the images, from 0", ylabel="left-out rms / px")
-    axes.set_ylim(bottom=0)
-    figure.legend(loc="outside upper right", ncols=len(v.lenses))
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    from_zero(axes)
+    legend(figure, axes)
     told = "; ".join(f"{n} {r:.3f} px" for n, r in zip(v.lenses, v.rms_px, strict=True))
     return Drawing(
         figure,
@@ -187,12 +199,6 @@ def draw_cross_validation(i: Intrinsics) -> Drawing:
             **{f"{lens}_px": rms for lens, rms in zip(v.lenses, v.view_rms_px, strict=True)},
         },
     )
-
-
-def _edges(size: int, count: int) -> FloatArray:
-    """Return the edges of cells along one side of the imager, px."""
-    edges: FloatArray = np.linspace(-0.5, size - 0.5, count + 1)
-    return edges
 
 
 def _imager(axes: Axes, i: Intrinsics) -> None:
@@ -219,15 +225,16 @@ def _map(
     inside = values[covered & np.isfinite(values)]
     limit = top if top is not None else float(inside.max()) if len(inside) else 1.0
     low = 0.0 if top is not None else float(inside.min()) if len(inside) else 0.0
-    mesh: Any = axes.pcolormesh(
-        pixels[..., 0],
-        pixels[..., 1],
+    half = (pixels[-1, -1] - pixels[0, 0]) / (2 * np.array(values.shape[::-1]) - 2)
+    left, top_edge = pixels[0, 0] - half
+    right, bottom = pixels[-1, -1] + half
+    mesh: Any = axes.imshow(
         np.ma.masked_invalid(values),
         cmap=WELL_FITTED,
         vmin=low,
         vmax=max(limit, low + 1e-9),
-        shading="nearest",
-        rasterized=True,
+        extent=(left, right, bottom, top_edge),
+        interpolation="nearest",
     )
     axes.plot(*pixels[~covered].T, "x", color="white", ms=3, mew=0.8)
     beyond = bool((np.nan_to_num(values, nan=-np.inf) > limit).any())

@@ -11,6 +11,7 @@ from calib.report.plotting import (
     GREY,
     Drawing,
     Look,
+    Margins,
     in_house_style,
     look,
     new_figure,
@@ -38,7 +39,9 @@ class Estimate:
 @in_house_style
 def draw_estimates(estimates: Sequence[Estimate]) -> Drawing:
     """Draw baseline and encoder zero of every fit with 95 % intervals."""
-    figure = new_figure(width_in=7.4, height_in=1.0 + 0.3 * len(estimates))
+    figure = new_figure(
+        height_in=0.75 + 0.28 * len(estimates), margins=Margins(left=1.6, top=0.15, between=0.06)
+    )
     panels = figure.subplots(1, 2, sharey=True)
     baseline = np.array([e.baseline_mm for e in estimates])
     delta2 = np.array([e.delta2_mrad for e in estimates])

@@ -14,9 +14,11 @@ from calib.report.plotting import (
     GREY,
     LIGHT,
     Drawing,
+    Margins,
     cloud,
     in_house_style,
     label_rows,
+    legend,
     look,
     new_figure,
 )
@@ -27,7 +29,7 @@ RESIDUAL = "residual / mrad"
 @in_house_style
 def draw_residuals_by_row(rows: Observations, fits: Sequence[RobustFit]) -> Drawing:
     """Draw the residual of each row under each model; outliers ringed."""
-    figure = new_figure(width_in=7.4, height_in=3.0)
+    figure = new_figure(height_in=3.0)
     axes = figure.subplots()
     place = np.arange(len(rows))
     for k, fit in enumerate(fits):
@@ -39,7 +41,7 @@ def draw_residuals_by_row(rows: Observations, fits: Sequence[RobustFit]) -> Draw
     axes.axhline(0, color=BLACK, lw=0.8)
     label_rows(axes, rows.ids, what="row")
     axes.set_ylabel(RESIDUAL)
-    figure.legend(loc="outside upper right", ncols=len(fits))
+    legend(figure, axes)
     return Drawing(
         figure,
         f"Residuals of {len(rows)} rows. {_ranges(fits)}",
@@ -50,7 +52,7 @@ def draw_residuals_by_row(rows: Observations, fits: Sequence[RobustFit]) -> Draw
 @in_house_style
 def draw_residuals_against(rows: Observations, fits: Sequence[RobustFit]) -> Drawing:
     """Draw residuals against depth and against the direction in C1."""
-    figure = new_figure(width_in=7.4, height_in=3.0)
+    figure = new_figure(height_in=3.0, margins=Margins(between=0.06))
     panels = figure.subplots(1, 2, sharey=True)
     abscissae = {"reference depth / mm": rows.z_mm, "x1c = tan α1": rows.x1c}
     for axes, (name, x) in zip(panels, abscissae.items(), strict=True):
@@ -60,8 +62,7 @@ def draw_residuals_against(rows: Observations, fits: Sequence[RobustFit]) -> Dra
         axes.axhline(0, color=BLACK, lw=0.8)
         axes.set_xlabel(name)
     panels[0].set_ylabel(RESIDUAL)
-    handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper right", ncols=len(fits))
+    legend(figure, panels[0])
     return Drawing(
         figure,
         f"Residuals against reference depth and against x1c. {_ranges(fits)}",
@@ -82,7 +83,7 @@ def draw_scatter(
     step_mrad, reading_mrad
         Of one encoder count, uniform; of a whole reading of the encoder as stated.
     """
-    figure = new_figure(width_in=7.4, height_in=0.9 + 0.32 * len(sigma_mrad))
+    figure = new_figure(height_in=0.95 + 0.3 * len(sigma_mrad), margins=Margins(left=1.35))
     axes = figure.subplots()
     for y, (name, sigma) in enumerate(sigma_mrad.items()):
         style = look(name.split("/")[0]) if name.endswith("/robust") else None
@@ -98,10 +99,12 @@ def draw_scatter(
             fontsize=8,
             bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.8},
         )
-    axes.axvline(reading_mrad, color=BLACK, lw=1.2, label="encoder reading, as stated")
+    axes.axvline(reading_mrad, color=BLACK, lw=1.2, label="gaze angle, as stated")
     if step_mrad is not None and abs(step_mrad / reading_mrad - 1) > 0.02:
-        axes.axvline(step_mrad, color=BLACK, lw=1.2, ls=":", label="one count alone, uniform")
-    figure.legend(loc="outside upper right", ncols=2)
+        axes.axvline(
+            step_mrad, color=BLACK, lw=1.2, ls=":", label="one count of the encoder, uniform"
+        )
+    legend(figure, axes)
     axes.set_yticks(range(len(sigma_mrad)), list(sigma_mrad))
     axes.set(
         xlabel="standard deviation of the residuals / mrad", ylim=(len(sigma_mrad) - 0.4, -0.6)
@@ -111,7 +114,7 @@ def draw_scatter(
     left = "; ".join(f"{name} {sigma:.3g}" for name, sigma in sigma_mrad.items())
     return Drawing(
         figure,
-        f"Standard deviation of the residuals in mrad: {left}. The encoder's reading as stated "
+        f"Standard deviation of the residuals in mrad: {left}. The gaze angle as stated "
         f"accounts for {reading_mrad:.2g} mrad.",
         {"fit": tuple(sigma_mrad), "sigma_mrad": tuple(sigma_mrad.values())},
     )

@@ -21,6 +21,7 @@ from calib.report.plotting import (
     LIGHT,
     VERMILLION,
     Drawing,
+    Margins,
     in_house_style,
     new_figure,
     thinned,
@@ -46,7 +47,7 @@ def draw_setup(rows: Observations, theta: FloatArray, free: tuple[str, ...]) -> 
     theta, free
         The selected model: parameter vector, shape (COUNT,), and its free parameters.
     """
-    figure = new_figure(width_in=7.4, height_in=4.4)
+    figure = new_figure(height_in=4.5, margins=Margins(left=0.2, bottom=0.6, top=0.3, between=0.25))
     sketch, plan = figure.subplots(1, 2, width_ratios=(1.15, 1.0))
     _sketch(sketch, theta, free)
     _plan(plan, rows, theta)
@@ -162,7 +163,7 @@ def _measures(
         _length(axes, (side, 0), (side, axis[1]), "$Z_a$", (4, 0))
     if "eccentricity_mm" in free:
         axes.plot(*np.stack([axis, foot]).T, color=GREEN, lw=2.4, zorder=3)
-        middle, shift = (axis + foot) / 2, (-0.2, 0.03) if foot[0] > axis[0] else (0.0, 0.1)
+        middle, shift = (axis + foot) / 2, (-0.02, -0.24) if foot[0] > axis[0] else (0.0, 0.1)
         axes.annotate("$e$", _xy(middle + np.array(shift)), color=GREEN)
     _length(axes, (-0.5, 0), (-0.5, target[1]), "$z$", (-5, 0))
     axes.plot([-0.5, target[0]], [target[1]] * 2, **_HELPER)

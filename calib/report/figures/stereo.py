@@ -12,8 +12,11 @@ from calib.report.plotting import (
     Column,
     Drawing,
     Look,
+    Margins,
+    from_zero,
     in_house_style,
     label_rows,
+    legend,
     new_figure,
 )
 from calib.uncertainty.montecarlo import NORMAL_FACTOR
@@ -24,7 +27,7 @@ _BACKENDS = {"mrcal": Look(BLUE, "o"), "opencv": Look(VERMILLION, "s")}
 @in_house_style
 def draw_pairs(stereo: StereoReference) -> Drawing:
     """Draw the residual of each pair in both cameras, by each solve with the intrinsics held."""
-    figure = new_figure(width_in=7.4, height_in=2.8)
+    figure = new_figure(height_in=2.9, margins=Margins(bottom=0.75))
     axes = figure.subplots()
     place = np.arange(len(stereo.stems))
     data: dict[str, Column] = {"pair": stereo.stems}
@@ -44,8 +47,8 @@ def draw_pairs(stereo: StereoReference) -> Drawing:
             data[f"{solve.backend}_{camera}_rms_px"] = rms
     label_rows(axes, stereo.stems, what="pair")
     axes.set_ylabel("rms residual / px")
-    axes.set_ylim(bottom=0)
-    figure.legend(loc="outside upper right", ncols=2 * len(held))
+    from_zero(axes)
+    legend(figure, axes)
     told = "; ".join(f"{s.backend} {s.rms_px:.3f} px" for s in held)
     return Drawing(figure, f"Root mean square residual of {len(place)} stereo pairs: {told}.", data)
 
@@ -62,7 +65,7 @@ def _rms(residuals: np.ndarray) -> np.ndarray:
 @in_house_style
 def draw_targets(stereo: StereoReference) -> Drawing:
     """Draw depth by the board's pose in C1 alone less triangulated depth, against depth."""
-    figure = new_figure(width_in=7.4, height_in=2.9)
+    figure = new_figure(height_in=2.9)
     axes = figure.subplots()
     t = stereo.targets
     z, by_board = t.triangulated.position_mm[:, 2], t.by_board.position_mm[:, 2]
@@ -81,7 +84,7 @@ def draw_targets(stereo: StereoReference) -> Drawing:
         )
     axes.axhline(0, color=BLACK, lw=0.8)
     axes.set(xlabel="triangulated depth / mm", ylabel="(by board − triangulated) / mm")
-    figure.legend(loc="outside upper right")
+    legend(figure, axes)
     return Drawing(
         figure,
         f"Depth of {len(z)} targets by the board's pose in C1 less their triangulated depth: from "

@@ -13,7 +13,9 @@ from calib.report.plotting import (
     GREY,
     Drawing,
     Look,
+    Margins,
     cloud,
+    from_zero,
     in_house_style,
     new_figure,
 )
@@ -22,7 +24,7 @@ from calib.report.plotting import (
 @in_house_style
 def draw_sweep(sweep: SweepResult) -> Drawing:
     """Draw the residual of each image and the error of each reading against the reading."""
-    figure = new_figure(width_in=7.4, height_in=2.9)
+    figure = new_figure(height_in=2.9)
     left, right = figure.subplots(1, 2)
     degrees = np.rad2deg(sweep.readings_rad)
     rms = np.sqrt(np.nanmean(sweep.residuals.reshape(len(degrees), -1) ** 2, axis=1))
@@ -30,7 +32,7 @@ def draw_sweep(sweep: SweepResult) -> Drawing:
     cloud(left, degrees, rms, style)
     left.axhline(sweep.rms_px, color=GREY, lw=1, ls="--")
     left.set(xlabel="α2 / °", ylabel="rms residual / px")
-    left.set_ylim(bottom=0)
+    from_zero(left)
     cloud(right, degrees, 1e3 * sweep.reading_errors_rad, style)
     right.axhline(0, color=BLACK, lw=0.8)
     right.set(xlabel="α2 / °", ylabel="error of the reading / mrad")
@@ -52,7 +54,7 @@ def draw_sweep(sweep: SweepResult) -> Drawing:
 @in_house_style
 def draw_axis(sweep: SweepResult) -> Drawing:
     """Draw the foot of the yaw axis in C2's frame, from above, with its 95 % region."""
-    figure = new_figure(width_in=4.6, height_in=3.6)
+    figure = new_figure(height_in=3.4, margins=Margins(top=0.15, right=2.2))
     axes = figure.subplots()
     x, _, z = sweep.axis_foot_c2_mm
     block = sweep.axis_covariance[2:, 2:]
@@ -64,7 +66,7 @@ def draw_axis(sweep: SweepResult) -> Drawing:
     axes.plot(0, 0, "^", color=BLACK, mfc="white", ms=9, label="C2's centre")
     axes.set(xlabel="X of C2 / mm", ylabel="Z of C2 / mm", aspect="equal", adjustable="datalim")
     axes.margins(0.25)
-    figure.legend(loc="outside right upper")
+    axes.legend(loc="upper left", bbox_to_anchor=(1.02, 1.0))
     e, u = sweep.eccentricity_mm, sweep.eccentricity_std_mm
     return Drawing(
         figure,

@@ -18,11 +18,14 @@ from calib.report.plotting import (
     Column,
     Drawing,
     Look,
+    Margins,
     cloud,
     in_house_style,
     label_rows,
+    legend,
     look,
     new_figure,
+    plain,
 )
 
 REFERENCES = (Look(BLUE, "o"), Look(VERMILLION, "s"), Look(GREEN, "^"), Look(PURPLE, "D"))
@@ -40,7 +43,7 @@ def draw_agreement(validation: ValidationResult, names: Mapping[str, str]) -> Dr
     names
         What to call each reference, by its name in the results.
     """
-    figure = new_figure(width_in=7.4, height_in=3.6)
+    figure = new_figure(height_in=3.5, margins=Margins(bottom=0.75))
     axes = figure.subplots()
     v, place = validation, np.arange(len(validation.ids))
     data: dict[str, Column] = {"id": v.ids, "group": v.groups, "z_mm": v.prediction.z_mm}
@@ -52,7 +55,8 @@ def draw_agreement(validation: ValidationResult, names: Mapping[str, str]) -> Dr
         if len(place) <= MOST_BARS:
             low, high = 100 * (ends[:, known] - 1)
             axes.vlines(x[known], low, high, color=style.colour, lw=1)
-        label = f"against {names.get(agreement.name, agreement.name)}"
+        name = names.get(agreement.name, agreement.name)
+        label = f"against {plain(name, agreement.name)}"
         cloud(axes, x, 100 * agreement.error_rel, style, label=label)
         data[f"reference_{agreement.name}_mm"] = agreement.reference_mm
         data[f"error_against_{agreement.name}_percent"] = 100 * agreement.error_rel
@@ -60,9 +64,7 @@ def draw_agreement(validation: ValidationResult, names: Mapping[str, str]) -> Dr
     _divide(axes, v.groups)
     label_rows(axes, v.ids, what="validation row")
     axes.set_ylabel("(measured − reference) / %")
-    legend = figure.legend(loc="outside upper right", ncols=len(v.errors))
-    for text in legend.get_texts():
-        text.set_parse_math(False)
+    legend(figure, axes)
     told = "; against ".join(
         f"{names.get(e.name, e.name)} the root mean square is {100 * e.rms_rel:.2g} % and the mean "
         f"{100 * e.mean_rel:+.2g} %"
@@ -74,7 +76,7 @@ def draw_agreement(validation: ValidationResult, names: Mapping[str, str]) -> Dr
 @in_house_style
 def draw_consistency(validation: ValidationResult, models: Sequence[str]) -> Drawing:
     """Draw depth by each row's own angle less its reference, for each model."""
-    figure = new_figure(width_in=7.4, height_in=3.4)
+    figure = new_figure(height_in=3.3, margins=Margins(bottom=0.75))
     axes = figure.subplots()
     v, place = validation, np.arange(len(validation.ids))
     data: dict[str, Column] = {"id": v.ids, "group": v.groups, "reference_mm": v.reference_mm}
@@ -88,7 +90,7 @@ def draw_consistency(validation: ValidationResult, models: Sequence[str]) -> Dra
     _divide(axes, v.groups)
     label_rows(axes, v.ids, what="validation row")
     axes.set_ylabel("(depth by own angle − reference) / mm")
-    figure.legend(loc="outside upper right", ncols=len(models))
+    legend(figure, axes)
     return Drawing(
         figure, f"Depth by each row's own angle less its reference: {'; '.join(spans)}.", data
     )

@@ -21,13 +21,13 @@ def comparison(c: Calibration, _: ReportContext) -> Section | None:
     found = c.gaze.comparison
     heads = (
         "Model",
-        "Free parameters",
+        "Parameters",
         "LOO ± standard error",
-        "Stacking weight",
+        "Weight",
         "AICc",
         "BIC",
-        "Depth error of left-out groups / %",
-        "Depth error of validation rows / %",
+        "Left-out depth error / %",
+        "Validation depth error / %",
         "Largest Pareto k",
         "Rows refitted",
     )
@@ -48,8 +48,9 @@ def comparison(c: Calibration, _: ReportContext) -> Section | None:
             note="LOO is the expected log density of the encoder's reading of a row that the fit "
             "has not seen, summed over rows: higher is better. AICc and BIC: lower is better; no "
             "AICc where the rows are too few for it. Rows with a Pareto k above "
-            f"{K_HAT_LIMIT:g} are predicted by a refit without them. Depth errors are "
-            "root mean squares.",
+            f"{K_HAT_LIMIT:g} are predicted by a refit without them. Weights are stacking "
+            "weights; depth errors are root mean squares, of groups of rows left out and of the "
+            "validation rows.",
             sortable=True,
         ),
     ]

@@ -23,7 +23,7 @@ from calib.report.blocks import (
 )
 from calib.report.context import ReportContext
 from calib.report.figures.setup import draw_setup
-from calib.report.numbers import decimals, digits, estimate
+from calib.report.numbers import decimals, digits, estimate, places
 from calib.report.plotting import picture
 from calib.report.sections.pick import chosen_fit, contrasted, shown_rows
 from calib.results import Calibration, GazeResult
@@ -117,7 +117,7 @@ def _rows(gaze: GazeResult) -> Table:
     body = [
         (
             *(column(i) for column in columns.values()),
-            *(decimals(fit.residual_mrad[i], 2) for fit in fits),
+            *(decimals(fit.residual_mrad[i], places(fit.residual_mrad)) for fit in fits),
         )
         for i in picked
     ]

@@ -9,7 +9,18 @@ from calib.images.intrinsics import Intrinsics
 from calib.images.intrinsics_maps import fit_name
 from calib.images.sightings import pick
 from calib.images.types import LensFit
-from calib.report.blocks import Block, Cell, Facts, Paragraph, Section, Table, number, table, words
+from calib.report.blocks import (
+    EMPTY,
+    Block,
+    Cell,
+    Facts,
+    Paragraph,
+    Section,
+    Table,
+    number,
+    table,
+    words,
+)
 from calib.report.context import ReportContext
 from calib.report.figures.intrinsics import (
     draw_coverage,
@@ -20,7 +31,7 @@ from calib.report.figures.intrinsics import (
 from calib.report.numbers import decimals, digits, estimate, signed
 from calib.report.plotting import picture
 from calib.results import Calibration
-from calib.uncertainty.format import significant
+from calib.uncertainty.format import fixed, significant
 
 DIFFERENCES_DRAWN = 2
 """The first ones: the other backend, and the splined lens model."""
@@ -50,9 +61,10 @@ def _camera(i: Intrinsics, corners: FloatArray) -> list[Block]:
         picture(
             f"difference-{i.name}-{k + 1}",
             draw_difference(i, d),
-            f"{name}: {d.second} less {d.first}. Left, in pixels; right, over what both stated "
-            "uncertainties lead to expect: above 2 over a large part of the imager, one of the two "
-            "is wrong by more than it says, or the lens model does not fit the lens.",
+            f"{name}: {_short(d.second)} less {_short(d.first)}. Left, in pixels; right, over what "
+            "both stated uncertainties lead to expect: above 2 over a large part of the imager, "
+            "one of the two is wrong by more than it says, or the lens model does not fit the "
+            "lens.",
         )
         for k, d in enumerate(i.differences[:DIFFERENCES_DRAWN])
     ]
@@ -86,39 +98,52 @@ def _camera(i: Intrinsics, corners: FloatArray) -> list[Block]:
 
 
 def _fits(i: Intrinsics) -> Table:
-    rows = [_fit(i.selected, i.covariance, chosen=True)]
-    rows += [_fit(fit, fit.covariance, chosen=False) for fit in i.alternatives]
-    heads = (
-        "Backend and lens model",
-        "fx / px",
-        "fy / px",
-        "cx / px",
-        "cy / px",
-        "rms / px",
-        "Rejected corners",
-        "Bow of the board / mm",
-    )
+    fits = [(i.selected, i.covariance), *((fit, fit.covariance) for fit in i.alternatives)]
+    rows = []
+    for k, name in enumerate(("fx / px", "fy / px", "cx / px", "cy / px")):
+        row, column = divmod((0, 4, 2, 5)[k], 3)
+        rows.append(
+            [
+                words(name),
+                *(
+                    estimate(fit.camera.matrix[row, column], float(np.sqrt(covariance[k, k])))
+                    for fit, covariance in fits
+                ),
+            ]
+        )
+    rows += [
+        [words("rms / px"), *(decimals(fit.rms_px, 3) for fit, _ in fits)],
+        [words("Corners rejected"), *(number(str(f.rejected), f.rejected) for f, _ in fits)],
+        [words("Bow of the board / mm"), *(_bow(fit) for fit, _ in fits)],
+    ]
+    heads = ["", f"{_short(fit_name(i.selected))} (selected)"]
+    heads += [_short(fit_name(fit)) for fit in i.alternatives]
     return table(
-        f"Fits of {i.name.upper()}",
+        f"Fits of {i.name.upper()}, ± standard uncertainty",
         heads,
         rows,
-        note=f"± standard uncertainty; that of the selected fit is widened by the factor "
+        note="That of the selected fit is widened by the factor "
         f"{significant(i.dispersion**0.5)}, by which the views disagree with each other beyond "
-        "the noise of their corners.",
+        "the noise of their corners. Bow: at the middle, along the board's columns and rows.",
     )
 
 
-def _fit(fit: LensFit, covariance: FloatArray, *, chosen: bool) -> tuple[Cell, ...]:
-    (fx, _, cx), (_, fy, cy), _ = fit.camera.matrix
-    std = np.sqrt(np.diag(covariance)[:4])
-    warp = fit.board_warp_mm
-    return (
-        words(f"{fit_name(fit)}{' (selected)' if chosen else ''}", mark="good" if chosen else ""),
-        *(estimate(v, float(u)) for v, u in zip((fx, fy, cx, cy), std, strict=True)),
-        decimals(fit.rms_px, 3),
-        number(str(fit.rejected), fit.rejected),
-        words("–" if warp is None else signed(f"{warp[0]:.2f}, {warp[1]:.2f}")),
-    )
+def _short(name: str) -> str:
+    """Return the name of a fit without mrcal's prefix."""
+    return name.replace("LENSMODEL_", "")
+
+
+def _mrcal(version: str | None) -> str:
+    if version is None:
+        return "not available: OpenCV alone"
+    return "of unknown version" if version == "unknown" else f"version {version}"
+
+
+def _bow(fit: LensFit) -> Cell:
+    if fit.board_warp_mm is None:
+        return EMPTY
+    x, y = (signed(fixed(v, 2)) for v in fit.board_warp_mm)
+    return number(f"{x}, {y}", fit.board_warp_mm[0])
 
 
 def _facts(i: Intrinsics) -> tuple[tuple[str, str], ...]:
@@ -132,7 +157,7 @@ def _facts(i: Intrinsics) -> tuple[tuple[str, str], ...]:
         facts.append(("Rejected views", ", ".join(i.rejected_views)))
     facts += [
         ("Coverage", f"{100 * i.coverage.share:.0f} % of the imager's cells"),
-        ("mrcal", i.mrcal_version or "not available: OpenCV alone"),
+        ("mrcal", _mrcal(i.mrcal_version)),
     ]
     return tuple(facts)
 
@@ -140,10 +165,10 @@ def _facts(i: Intrinsics) -> tuple[tuple[str, str], ...]:
 def _difference_table(i: Intrinsics) -> Table:
     rows = [
         (
-            words(d.second),
-            decimals(d.rms_px, 3),
-            decimals(d.expected_rms_px, 3),
-            decimals(d.max_px, 3),
+            words(_short(d.second)),
+            digits(d.rms_px, 2),
+            digits(d.expected_rms_px, 2),
+            digits(d.max_px, 2),
         )
         for d in i.differences
     ]

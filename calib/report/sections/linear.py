@@ -117,9 +117,9 @@ def _third_unknown(gaze: GazeResult) -> Text:
     assert a is not None  # noqa: S101 - the caller asked
     text = Markup(
         "The third unknown should be the product of the other two; it came out {} mm away from it. "
-        "In the exact geometry this distance is no slip of arithmetic: it is where the yaw axis "
-        "stands, <i>Z</i><sub>a</sub> (1 + tan² <i>δ</i><sub>2</sub>). It implies "
-        "<i>Z</i><sub>a</sub> = {} mm."
+        "In the exact geometry with <i>e</i> = 0 this distance is no slip of arithmetic: it is "
+        "<i>Z</i><sub>a</sub> (1 + tan² <i>δ</i><sub>2</sub>), where the yaw axis stands. It "
+        "implies <i>Z</i><sub>a</sub> = {} mm."
     ).format(fixed(a.inconsistency_mm, 1), signed(fixed(a.implied_axis_z_mm, 1)))
     fit = chosen_fit(gaze)
     if fit is not None and "axis_z_mm" in fit.names:

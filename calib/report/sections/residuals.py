@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import numpy as np
 from markupsafe import Markup
 
+from calib.geometry.plane import OBSERVABLE
 from calib.report.blocks import EMPTY, Block, Cell, Paragraph, Section, Table, Text, table, words
 from calib.report.context import ReportContext
 from calib.report.figures.residuals import (
@@ -60,10 +62,7 @@ def residuals(c: Calibration, context: ReportContext) -> Section | None:
 def _finding(gaze: GazeResult, step: float | None, reading: float) -> Text:
     """Return what the residuals say, in a few sentences."""
     chosen, base = chosen_fit(gaze), gaze.robust.get("base")
-    encoder = Markup("The encoder's reading as stated accounts for {} mrad{}.").format(
-        significant(reading, digits=2),
-        f", its step alone for {significant(step, digits=2)} mrad" if step is not None else "",
-    )
+    encoder = _encoder(gaze, step, reading)
     if chosen is None or base is None or chosen.model == "base":
         left = "; ".join(
             f"{name} leaves {significant(fit.sigma_mrad, digits=2)} mrad"
@@ -87,6 +86,19 @@ def _finding(gaze: GazeResult, step: float | None, reading: float) -> Text:
     )
 
 
+def _encoder(gaze: GazeResult, step: float | None, reading: float) -> str:
+    """Return how much of the residuals the gaze angle accounts for."""
+    told = significant(reading, digits=2)
+    alone = "" if step is None else significant(step, digits=2)
+    if np.all(gaze.rows.std[:, OBSERVABLE.residual] > 0):
+        return (
+            f"The gaze angle, whose last digit C2's pictures give, accounts for {told} mrad; the "
+            f"encoder's step alone would for {alone} mrad."
+        )
+    step_part = f", its step alone for {alone} mrad" if alone else ""
+    return f"The encoder's reading as stated accounts for {told} mrad{step_part}."
+
+
 def _axis(gaze: GazeResult) -> Text:
     """Return where the yaw axis stands, if the selected model says so and the data decided it."""
     fit = chosen_fit(gaze)
@@ -98,9 +110,9 @@ def _axis(gaze: GazeResult) -> Text:
     value, u = float(fit.values[i]), float(fit.covariance[i, i] ** 0.5)
     side = "behind" if value < 0 else "in front of"
     return Markup(
-        " What <em>base</em> cannot describe is a yaw axis that does not stand level with C1: it "
-        "stands {} mm {} C1's optical centre (<i>Z</i><sub>a</sub> = {} mm)."
-    ).format(significant(abs(value), digits=2), side, plus_minus(value, u))
+        " Where <em>base</em> takes the yaw axis to stand level with C1, <em>{}</em> finds it {} "
+        "mm {} C1's optical centre (<i>Z</i><sub>a</sub> = {} mm)."
+    ).format(fit.model, significant(abs(value), digits=2), side, plus_minus(value, u))
 
 
 def _scatter(gaze: GazeResult) -> dict[str, float]:

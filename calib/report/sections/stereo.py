@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from markupsafe import Markup
 
@@ -26,8 +28,6 @@ from calib.report.numbers import decimals, estimate, plus_minus
 from calib.report.plotting import picture
 from calib.report.sections.pick import shown_rows
 from calib.results import Calibration
-
-AXES = ("x", "y", "z")
 
 
 def stereo(c: Calibration, _: ReportContext) -> Section | None:
@@ -81,36 +81,42 @@ def _facts(s: StereoReference) -> tuple[tuple[str, str], ...]:
 
 def _poses(s: StereoReference) -> Table:
     """Return the pose of record in both directions: papers use either."""
-    other, spread = invert_pose(s.pose_12, s.covariance)
-    rows = [
-        (words(Markup("C2 in C1: <i>P</i><sub>1</sub> = R <i>P</i><sub>2</sub> + t")),
-         *_pose(s.pose_12, s.covariance)),
-        (words(Markup("C1 in C2: <i>P</i><sub>2</sub> = R <i>P</i><sub>1</sub> + t")),
-         *_pose(other, spread)),
-    ]  # fmt: skip
-    heads = ["Pose", *(f"rotation {a} / mrad" for a in AXES), *(f"t {a} / mm" for a in AXES)]
-    return table("Pose of the cameras, ± standard uncertainty", heads, rows)
+    heads = (
+        "",
+        Markup("C2 in C1: <i>P</i><sub>1</sub> = R <i>P</i><sub>2</sub> + t"),
+        Markup("C1 in C2: <i>P</i><sub>2</sub> = R <i>P</i><sub>1</sub> + t"),
+    )
+    both = [(s.pose_12, s.covariance), invert_pose(s.pose_12, s.covariance)]
+    return table("Pose of the cameras, ± standard uncertainty", heads, _pose_rows(both))
 
 
-def _pose(pose: FloatArray, covariance: FloatArray) -> list[Cell]:
-    std, times = np.sqrt(np.diag(covariance)), (1e3, 1e3, 1e3, 1.0, 1.0, 1.0)
-    return [estimate(v, float(u), factor=f) for v, u, f in zip(pose, std, times, strict=True)]
+_POSE = ((0, "rotation", 1e3, "mrad"), (3, "t", 1.0, "mm"))
+"""Place in a pose, name, factor and unit of its two halves."""
+
+
+def _pose_rows(poses: Sequence[tuple[FloatArray, FloatArray]]) -> list[list[Cell]]:
+    """Return the six rows of poses with their covariances, one pose a column."""
+    return [
+        [
+            words(f"{name} {axis} / {unit}"),
+            *(
+                estimate(pose[first + k], float(np.sqrt(c[first + k, first + k])), factor=times)
+                for pose, c in poses
+            ),
+        ]
+        for first, name, times, unit in _POSE
+        for k, axis in enumerate("xyz")
+    ]
 
 
 def _solves(s: StereoReference) -> Table:
-    rows = []
-    for k, solve in enumerate(s.solves):
-        chosen = " (used)" if k == 0 else ""
-        rows.append(
-            (
-                words(f"{solve.backend}, intrinsics {solve.intrinsics}{chosen}"),
-                *_pose(solve.pose_12, solve.covariance),
-                decimals(solve.rms_px, 3),
-                number(str(solve.rejected), solve.rejected),
-            )
-        )
-    heads = ["Solve", *(f"rotation {a} / mrad" for a in AXES), *(f"t {a} / mm" for a in AXES)]
-    heads += ["rms / px", "Rejected corners"]
+    names = [f"{solve.backend}, intrinsics {solve.intrinsics}" for solve in s.solves]
+    rows = _pose_rows([(solve.pose_12, solve.covariance) for solve in s.solves])
+    rows += [
+        [words("rms / px"), *(decimals(solve.rms_px, 3) for solve in s.solves)],
+        [words("Corners rejected"), *(number(str(v.rejected), v.rejected) for v in s.solves)],
+    ]
+    heads = ["", f"{names[0]} (used)", *names[1:]]
     return table("Pose of C2 in C1 by each backend, ± standard uncertainty", heads, rows)
 
 

@@ -12,11 +12,11 @@ from calib.instrument import ValidationResult, normalised_error, spread_by_group
 from calib.report.blocks import Block, Cell, Paragraph, Section, Table, Text, number, table, words
 from calib.report.context import ReportContext
 from calib.report.figures.validation import draw_agreement, draw_consistency
-from calib.report.numbers import bounds, decimals, digits, estimate, percent, signed
+from calib.report.numbers import bounds, decimals, digits, estimate, percent, places, signed
 from calib.report.plotting import picture
 from calib.report.sections.pick import contrasted, shown_rows
 from calib.results import Calibration
-from calib.uncertainty.format import fixed
+from calib.uncertainty.format import significant
 
 
 def validation(c: Calibration, context: ReportContext) -> Section | None:
@@ -50,8 +50,8 @@ def _summary(v: ValidationResult, names: Mapping[str, str], model: str) -> Text:
         else ""
     )
     told = "; ".join(
-        f"against {names.get(e.name, e.name)}, {fixed(100 * e.rms_rel, 2)} % root mean square and "
-        f"{signed(f'{100 * e.mean_rel:+.2f}')} % on average"
+        f"against {names.get(e.name, e.name)}, {significant(100 * e.rms_rel, digits=2)} % root "
+        f"mean square and {signed(f'{100 * e.mean_rel:+.2g}')} % on average"
         for e in v.errors
     )
     return Markup(
@@ -121,6 +121,8 @@ def _rows(v: ValidationResult, names: Mapping[str, str]) -> Table:
         heads += [f"{name} / mm", f"error against {name} / %"]
     scores = {e.name: normalised_error(v.prediction, e) for e in v.errors}
     rows = [_row(v, scores, i) for i in picked]
+    if v.groups == v.ids:
+        heads.remove("Group")
     told = (
         "Marked: |error| above the expanded uncertainty of the difference, the reference's own as "
         "stated included (E_n > 1)."
@@ -132,7 +134,7 @@ def _row(v: ValidationResult, scores: Mapping[str, FloatArray], i: int) -> tuple
     p, (x, y, _) = v.prediction, v.position_mm[i]
     cells = [
         words(v.ids[i]),
-        words(v.groups[i]),
+        *(() if v.groups == v.ids else (words(v.groups[i]),)),
         decimals(x, 1),
         decimals(y, 1),
         estimate(p.z_mm[i], p.u_mm[i]),
@@ -140,6 +142,7 @@ def _row(v: ValidationResult, scores: Mapping[str, FloatArray], i: int) -> tuple
     ]
     for e in v.errors:
         apart = scores[e.name][i] > 1
-        error = decimals(100 * e.error_rel[i], 2, mark="bad" if apart else "")
+        count = places(100 * e.error_rel)
+        error = decimals(100 * e.error_rel[i], count, mark="bad" if apart else "")
         cells += [decimals(e.reference_mm[i], 1), error]
     return tuple(cells)

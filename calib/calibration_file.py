@@ -1,0 +1,259 @@
+"""calibration.json read back: nothing is believed that the file could not say truly."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeAlias
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from calib.arrays import FloatArray
+from calib.errors import InputError
+from calib.geometry.camera import Camera
+from calib.geometry.parameters import NAMES
+from calib.observe import CameraSet, RowSettings, Setup, Shared
+from calib.results import FORMAT
+from calib.uncertainty.measurement import (
+    Instrument,
+    ParameterKnowledge,
+    ReadingSpread,
+    SharedErrors,
+    Spread,
+)
+
+FILE_LIMIT_BYTES = 200_000_000
+"""A calibration of 100,000 rows takes a tenth of it."""
+
+SYMMETRY = 1e-9
+"""Asymmetry of a correlation that is rounding: the file gives twelve digits."""
+
+LENS_COEFFICIENTS = (0, 4, 5, 8, 12, 14)
+"""Numbers of coefficients that OpenCV's lens model can have."""
+
+NotNegative = Annotated[float, Field(ge=0)]
+Positive = Annotated[float, Field(gt=0)]
+Size = Annotated[int, Field(gt=0)]
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(frozen=True, strict=True, extra="ignore", allow_inf_nan=False)
+
+
+class _Spread(_Section):
+    normal: NotNegative
+    width: NotNegative
+
+    def spread(self) -> Spread:
+        return Spread(normal=self.normal, width=self.width)
+
+
+class _Reading(_Section):
+    x1c: _Spread
+    y1c: _Spread
+    alpha2_rad: _Spread
+    gaze_residual_rad: _Spread
+
+
+class _Shared(_Section):
+    names: tuple[str, ...]
+    factor: tuple[tuple[float, ...], ...]
+    with_parameters: tuple[tuple[float, ...], ...]
+
+
+class _Stated(_Section):
+    u_x1c: NotNegative
+    encoder_step_rad: NotNegative
+    u_alpha2_rad: NotNegative
+
+
+class _Measurement(_Section):
+    model: str
+    names: tuple[str, ...]
+    values: tuple[float, ...]
+    covariance: tuple[tuple[float, ...], ...]
+    reading: _Reading
+    stated: _Stated
+    noise_factor: Positive
+    calibrated_depth_mm: tuple[Positive, Positive]
+    factor95: Positive
+    shared: _Shared | None = None
+
+    @model_validator(mode="after")
+    def _belongs_together(self) -> _Measurement:
+        size = len(self.names)
+        if len(set(self.names)) != size or not set(self.names) <= set(NAMES):
+            raise ValueError("names are not parameters, each once")
+        shapes = {len(self.values), len(self.covariance), *(len(row) for row in self.covariance)}
+        if shapes != {size}:
+            raise ValueError("names, values and covariance do not belong together")
+        if not _is_covariance(np.array(self.covariance)):
+            raise ValueError("the covariance is not symmetric, or has a negative variance")
+        if self.calibrated_depth_mm[0] > self.calibrated_depth_mm[1]:
+            raise ValueError("the calibrated depths end before they begin")
+        if self.shared is not None:
+            errors = {len(row) for row in (*self.shared.factor, *self.shared.with_parameters)}
+            counts = len(self.shared.factor), len(self.shared.with_parameters)
+            if len(errors) != 1 or counts != (len(self.shared.names), size):
+                raise ValueError("names and arrays of the shared errors do not belong together")
+        return self
+
+
+def _is_covariance(matrix: FloatArray) -> bool:
+    diagonal = np.diag(matrix)
+    if np.any(diagonal < 0):
+        return False
+    unit = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
+    correlation = matrix / np.outer(unit, unit)
+    symmetric = np.abs(correlation - correlation.T).max(initial=0.0) <= SYMMETRY
+    return bool(symmetric and np.linalg.eigvalsh(correlation).min(initial=0.0) >= -SYMMETRY)
+
+
+_Row: TypeAlias = tuple[float, float, float]
+
+
+class _Camera(_Section):
+    matrix: tuple[_Row, _Row, _Row]
+    distortion: tuple[float, ...]
+    image_size: tuple[Size, Size]
+
+    @model_validator(mode="after")
+    def _is_a_pinhole(self) -> _Camera:
+        if len(self.distortion) not in LENS_COEFFICIENTS:
+            raise ValueError(f"{len(self.distortion)} lens coefficients fit no model")
+        (fx, skew, _), (zero, fy, _), last = self.matrix
+        if min(fx, fy) <= 0 or (skew, zero, *last) != (0, 0, 0, 0, 1):
+            raise ValueError("the matrix is not [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]")
+        return self
+
+    def camera(self) -> Camera:
+        return Camera(np.array(self.matrix), np.array(self.distortion), self.image_size)
+
+
+class _File(_Section):
+    format: Literal[1]
+    measurement: _Measurement
+    intrinsics: dict[str, _Camera] = {}
+
+
+@dataclass(frozen=True)
+class Measuring:
+    """An instrument as calibration.json describes it.
+
+    Parameters
+    ----------
+    instrument
+        Parameters, their covariance and the errors of a reading.
+    setup
+        Cameras for readings in pixels, and the errors that readings share with the calibration.
+    noise_factor
+        By how much the calibration proved the stated uncertainties of a reading too small.
+    calibrated_mm
+        Depths that the calibration covers.
+    factor95
+        Coverage factor of inverse depth.
+    """
+
+    instrument: Instrument
+    setup: Setup
+    noise_factor: float
+    calibrated_mm: tuple[float, float]
+    factor95: float
+
+
+def read_calibration(path: Path) -> Measuring:
+    """Return the instrument of a calibration.json.
+
+    Raises
+    ------
+    InputError
+        If the file is none, is damaged, has another format or holds no gaze calibration.
+    """
+    text = _text(path)
+    document = _document(path, text)
+    found = document.get("format") if isinstance(document, dict) else None
+    if type(found) is not int or found != FORMAT:
+        raise _bad(path, f"format {found!r} is not known", f"format {FORMAT} is; calibrate again")
+    if "measurement" not in document:
+        remedy = "calibrate a dataset with gaze rows; see the gates in its report"
+        raise _bad(path, "holds no gaze calibration", remedy)
+    try:
+        file = _File.model_validate_json(text)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        where = ".".join(str(part) for part in first["loc"])
+        raise _bad(
+            path, f"{where}: {first['msg']}", "the file is damaged; calibrate again"
+        ) from None
+    return _measuring(file)
+
+
+def _measuring(file: _File) -> Measuring:
+    m = file.measurement
+    parameters = ParameterKnowledge(
+        names=m.names,
+        values=np.array(m.values),
+        covariance=np.array(m.covariance),
+        degrees_of_freedom=None,
+        evaluation=("A",) * len(m.names),
+    )
+    reading = ReadingSpread(
+        x1c=m.reading.x1c.spread(),
+        y1c=m.reading.y1c.spread(),
+        alpha2_rad=m.reading.alpha2_rad.spread(),
+        gaze_residual_rad=m.reading.gaze_residual_rad.spread(),
+    )
+    cameras = {name: camera.camera() for name, camera in file.intrinsics.items()}
+    settings = RowSettings(
+        u_x1c=m.stated.u_x1c,
+        u_z_mm=0.0,
+        u_z_rel=0.0,
+        encoder_step_rad=m.stated.encoder_step_rad,
+        u_alpha2_rad=m.stated.u_alpha2_rad,
+    )
+    shared, common = Shared(), None
+    if m.shared is not None:
+        shared = Shared(m.shared.names, np.array(m.shared.factor))
+        common = SharedErrors(shared.error_names, np.array(m.shared.with_parameters))
+    return Measuring(
+        instrument=Instrument(parameters, reading, common),
+        setup=Setup(settings, CameraSet(cameras.get("c1"), cameras.get("c2")), shared),
+        noise_factor=m.noise_factor,
+        calibrated_mm=m.calibrated_depth_mm,
+        factor95=m.factor95,
+    )
+
+
+def _bad(path: Path, what: str, remedy: str) -> InputError:
+    return InputError.single(where=str(path), what=what, remedy=remedy)
+
+
+NOT_A_CALIBRATION = "give the calibration.json of a finished run"
+
+
+def _text(path: Path) -> str:
+    try:
+        if path.stat().st_size > FILE_LIMIT_BYTES:
+            raise _bad(path, "is too large to be a calibration", NOT_A_CALIBRATION)
+        return path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise _bad(path, f"cannot be read ({error.strerror})", NOT_A_CALIBRATION) from None
+    except ValueError:
+        raise _bad(path, "is no text in UTF-8", NOT_A_CALIBRATION) from None
+
+
+def _document(path: Path, text: str) -> Any:
+    try:
+        return json.loads(text, object_pairs_hook=_each_key_once)
+    except (ValueError, RecursionError) as error:
+        raise _bad(path, f"is no JSON ({error})", NOT_A_CALIBRATION) from None
+
+
+def _each_key_once(pairs: Sequence[tuple[str, Any]]) -> dict[str, Any]:
+    document = dict(pairs)
+    if len(document) != len(pairs):
+        raise ValueError("a key stands twice")
+    return document

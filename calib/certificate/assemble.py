@@ -1,0 +1,102 @@
+"""From a calibration and its manifest to the certificate's inputs."""
+
+from __future__ import annotations
+
+from calib.certificate.inputs import (
+    Administration,
+    CalibrationSummary,
+    CertificateInputs,
+    Derived,
+    Evidence,
+    Issue,
+    Provenance,
+)
+from calib.dataset.manifest import Certificate, Manifest
+from calib.instrument import CalibratedInstrument
+from calib.provenance import Provenance as RunProvenance
+from calib.results import Calibration, GazeResult, effective_baseline
+
+NOT_GIVEN = "not stated"
+"""The manifest's own word where no reference is named."""
+
+
+def assemble(
+    calibration: Calibration,
+    manifest: Manifest,
+    evidence: Evidence,
+    *,
+    issue: Issue,
+    made: RunProvenance,
+) -> CertificateInputs:
+    """Return the inputs of the certificate.
+
+    Raises
+    ------
+    ValueError
+        If the calibration has no calibrated instrument: there is nothing to certify.
+    """
+    gaze = calibration.gaze
+    if gaze is None or gaze.calibrated is None:
+        raise ValueError("without a calibrated instrument there is nothing to certify")
+    return CertificateInputs(
+        administration=_administration(manifest.certificate),
+        issue=issue,
+        provenance=Provenance(
+            dataset_name=calibration.name,
+            dataset_title=manifest.heading,
+            dataset_sha256=calibration.sha256,
+            citation=manifest.source.citation,
+            seed=calibration.seed,
+            software=(("calib", made.version), ("Python", made.python), *made.packages.items()),
+            commit=made.commit,
+        ),
+        calibration=_summary(gaze, gaze.calibrated, manifest),
+        evidence=evidence,
+        gates=calibration.gates,
+        warnings=calibration.warnings,
+    )
+
+
+def _administration(stated: Certificate) -> Administration:
+    values = stated.model_dump(exclude={"tolerance", "decision_rule"})
+    return Administration(**values)
+
+
+def _summary(
+    gaze: GazeResult, calibrated: CalibratedInstrument, manifest: Manifest
+) -> CalibrationSummary:
+    fit = gaze.robust[calibrated.model]
+    p = calibrated.instrument.parameters
+    derived = effective_baseline(p.names, p.values, p.covariance)
+    low, high = calibrated.calibrated_mm
+    return CalibrationSummary(
+        model=calibrated.model,
+        instrument=calibrated.instrument,
+        identified_by=fit.identified_by,
+        estimator="posterior sampled by emcee",
+        rows=len(gaze.rows),
+        outliers=fit.outliers,
+        reference=_reference(manifest),
+        calibrated_mm=(float(low), float(high)),
+        noise_factor=calibrated.noise_factor,
+        derived=()
+        if derived is None
+        else (Derived("L_b + e", "baseline seen at 90°", "mm", *derived),),
+        intrinsics=_intrinsics(manifest),
+    )
+
+
+def _reference(manifest: Manifest) -> str | None:
+    """Return what the reference depths are; None where the manifest does not say."""
+    if manifest.gaze is None or manifest.gaze.reference == NOT_GIVEN:
+        return None
+    return manifest.gaze.reference
+
+
+def _intrinsics(manifest: Manifest) -> str | None:
+    c1 = manifest.cameras.c1
+    if c1 is None:
+        return None
+    if c1.images is not None:
+        return "calibrated from images of the board in the dataset"
+    return "taken from a finished model" if c1.model is not None else "given in the dataset"

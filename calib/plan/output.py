@@ -1,0 +1,131 @@
+"""The advice as a table and as a picture."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from calib.arrays import FloatArray
+from calib.errors import UsageError
+from calib.plan.advise import Advice, Targets
+
+INK, MUTED, BLUE, RED = "#1b1b1b", "#6b6b6b", "#0072B2", "#D55E00"
+
+_LOOKS = {"G": (BLUE, "o", 60), "D": (RED, "s", 26)}
+_MEANING = {
+    "G": "least u(z) at the asked depths",
+    "D": "least uncertainty of all parameters together",
+}
+
+_STYLE: Any = {
+    "font.size": 8.0,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "legend.frameon": False,
+    "svg.hashsalt": "calib",
+    "svg.fonttype": "path",
+}
+
+
+def picture_format(path: Path) -> str:
+    """Return "svg" or "png".
+
+    Raises
+    ------
+    UsageError
+        If the name asks for anything else.
+    """
+    kind = path.suffix.lower().lstrip(".")
+    if kind not in ("svg", "png"):
+        raise UsageError(f"--out {path}: give a name that ends in .svg or .png")
+    return kind
+
+
+def text(advice: Advice) -> str:
+    """Return the advice as a table for the terminal."""
+    lines = [f"model {advice.model}; u(z) from the parameters alone, averaged across C1's field"]
+    lines.append(f"{'':10s}" + "".join(f"{f'u({z:g})':>12s}" for z in advice.depths_mm) + "   mm")
+    lines.append(_line("now", advice.before_rel * advice.depths_mm))
+    count = len(next(iter(advice.targets.values())).points_mm)
+    lines.append(_line(f"{count} random", advice.random_rel * advice.depths_mm))
+    for name, targets in advice.targets.items():
+        lines += ["", f"{name}-optimal targets, {_MEANING[name]}; u(z) after each, mm"]
+        lines.append(
+            f"{'':4s}{'x_mm':>8s}{'y_mm':>8s}{'z_mm':>8s}{'x1c':>9s}{'alpha2_deg':>12s}"
+            + "".join(f"{f'u({z:g})':>12s}" for z in advice.depths_mm)
+        )
+        lines += _targets(advice, targets)
+    return "\n".join(lines) + "\n"
+
+
+def _line(name: str, u_mm: FloatArray) -> str:
+    return f"{name:10s}" + "".join(f"{u:12.3g}" for u in u_mm)
+
+
+def _targets(advice: Advice, targets: Targets) -> list[str]:
+    lines = []
+    for i, (x, y, z) in enumerate(targets.points_mm):
+        angle = np.rad2deg(targets.alpha2_rad[i])
+        place = f"{i + 1:<4d}{x:8.0f}{y:8.0f}{z:8.0f}{targets.x1c[i]:9.3f}{angle:12.2f}"
+        u = targets.u_rel[i] * advice.depths_mm
+        lines.append(place + "".join(f"{value:12.3g}" for value in u))
+    return lines
+
+
+def picture(advice: Advice, rows_mm: FloatArray, *, kind: str) -> bytes:
+    """Return the advice drawn: where the targets stand, and what u(z) each leaves.
+
+    Parameters
+    ----------
+    rows_mm
+        Targets of the rows so far, frame C1, shape (n, 3).
+    kind
+        "svg" or "png".
+    """
+    buffer = io.BytesIO()
+    with rc_context(_STYLE):
+        figure = Figure((7.2, 3.6), layout="constrained")
+        plan, progress = figure.subplots(1, 2)
+        _from_above(plan, advice, rows_mm)
+        _by_count(progress, advice)
+        metadata = {"Date": None} if kind == "svg" else None
+        figure.savefig(buffer, format=kind, dpi=150, metadata=metadata)
+    return buffer.getvalue()
+
+
+def _from_above(axes: Axes, advice: Advice, rows_mm: FloatArray) -> None:
+    """Draw the targets as seen from above."""
+    candidates = advice.candidates_mm
+    axes.plot(candidates[:, 0], candidates[:, 2], ".", ms=1.5, color="#c8c8c8", label="possible")
+    if len(rows_mm):
+        axes.plot(rows_mm[:, 0], rows_mm[:, 2], "x", ms=4, color=INK, label="rows so far")
+    for name, targets in advice.targets.items():
+        colour, marker, size = _LOOKS[name]
+        x, z = targets.points_mm[:, 0], targets.points_mm[:, 2]
+        axes.scatter(x, z, s=size, marker=marker, facecolors="none", edgecolors=colour,
+                     label=f"{name}-optimal")  # fmt: skip
+    for depth in advice.depths_mm:
+        axes.axhline(depth, color=MUTED, lw=0.7, ls=":")
+    axes.set_xlabel("X of C1, mm")
+    axes.set_ylabel("Z of C1, mm")
+    axes.legend(loc="best", fontsize=7)
+
+
+def _by_count(axes: Axes, advice: Advice) -> None:
+    """Draw the greatest relative u(z) at the asked depths against the number of new targets."""
+    for name, targets in advice.targets.items():
+        greatest = np.concatenate([[advice.before_rel.max()], targets.u_rel.max(axis=1)])
+        colour, marker, _ = _LOOKS[name]
+        axes.plot(100 * greatest, marker + "-", ms=4, color=colour, label=f"{name}-optimal")
+    count = len(next(iter(advice.targets.values())).points_mm)
+    axes.plot(count, 100 * advice.random_rel.max(), "*", color=MUTED, label="random, median")
+    axes.set_yscale("log")
+    axes.set_xlabel("new targets")
+    axes.set_ylabel("greatest u(z) / z at the asked depths, %")
+    axes.legend(loc="best", fontsize=7)

@@ -1,0 +1,136 @@
+"""What a study must show of the estimators, each claim with its figure."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.study.conditions import ADVICE, CONDITIONS, GROUPS
+from calib.study.scores import Score
+
+INFINITY = float("inf")
+
+UNIFORM_P = 0.01
+"""Least corrected p of the rank test."""
+
+
+@dataclass(frozen=True)
+class Claim:
+    """A statement about all scores of one kind.
+
+    Parameters
+    ----------
+    name
+        One phrase.
+    conditions
+        Where it is claimed.
+    subjects, estimators
+        Of the scores meant; empty for all.
+    statistic
+        Of the scores meant.
+    low, high
+        Limits of each score's value.
+    """
+
+    name: str
+    conditions: tuple[str, ...]
+    subjects: tuple[str, ...]
+    estimators: tuple[str, ...]
+    statistic: str
+    low: float
+    high: float = INFINITY
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """A claim with the worst score of its kind.
+
+    Parameters
+    ----------
+    claim
+        Its name.
+    held
+        Whether every score lies within the limits.
+    worst
+        The score nearest to a limit, or farthest beyond one.
+    low, high
+        The limits; None for infinity.
+    """
+
+    claim: str
+    held: bool
+    worst: Score
+    low: float
+    high: float | None
+
+
+def _named(*, outliers: bool, model: str | None = None) -> tuple[str, ...]:
+    return tuple(
+        name
+        for name in GROUPS["default"]
+        if (CONDITIONS[name].outlier_share > 0) == outliers
+        and model in (None, CONDITIONS[name].model)
+    )
+
+
+_CLEAN, _SPOILT = _named(outliers=False), _named(outliers=True)
+_DEPTHS = ("depth inside", "depth beyond")
+_LARGE = tuple(name for name in _CLEAN if CONDITIONS[name].rows == 60)
+
+# fmt: off
+CLAIMS: tuple[Claim, ...] = (
+    Claim("95 % depth intervals cover 93 to 97 % inside the calibrated range",
+          _CLEAN, _DEPTHS[:1], ("selected",), "coverage95", 0.93, 0.97),
+    Claim("95 % depth intervals cover 92 to 98 % up to 1.5 times the range",
+          _CLEAN, _DEPTHS[1:], ("selected",), "coverage95", 0.92, 0.98),
+    Claim("with 10 % gross errors 95 % depth intervals cover over 90 %",
+          _SPOILT, _DEPTHS, ("selected",), "coverage95", 0.90),
+    Claim("pulls of identified parameters have an rms of 0.9 to 1.1",
+          _CLEAN, (), ("posterior",), "pull_rms", 0.9, 1.1),
+    Claim("the robust fit reaches 90 % of the Cramer-Rao bound on clean rows",
+          _LARGE, (), ("robust",), "efficiency", 0.90),
+    Claim("ranks of the truth in its posterior are uniform",
+          GROUPS["ranks"], (), ("posterior",), "uniformity_p", UNIFORM_P),
+    Claim("the extended model is selected on at most 10 % of base rigs",
+          _named(outliers=False, model="base"), ("model",), ("axis-offset",), "share", 0.0, 0.10),
+    Claim("it is selected on at least 95 % of rigs with an axis offset over 5 standard errors",
+          _named(outliers=False, model="axis-offset"), ("model",), ("axis-offset",),
+          "share_clear", 0.95),
+    Claim("advised targets leave u(z) at least 25 % below random ones",
+          (ADVICE,), ("depth asked",), (), "u_ratio", 0.0, 0.75),
+)
+# fmt: on
+
+
+def judge(scores: Sequence[Score]) -> tuple[Verdict, ...]:
+    """Return the verdicts on all claims of which there are scores."""
+    return tuple(v for v in (_verdict(claim, scores) for claim in CLAIMS) if v is not None)
+
+
+def _verdict(claim: Claim, scores: Sequence[Score]) -> Verdict | None:
+    meant = [s for s in scores if _means(claim, s)]
+    if not meant:
+        return None
+    worst = min(meant, key=lambda s: min(s.value - claim.low, claim.high - s.value))
+    held = all(claim.low <= s.value <= claim.high for s in meant)
+    high = claim.high if np.isfinite(claim.high) else None
+    return Verdict(claim.name, held, worst, claim.low, high)
+
+
+def _means(claim: Claim, score: Score) -> bool:
+    return (
+        score.condition in claim.conditions
+        and score.statistic == claim.statistic
+        and (not claim.subjects or score.subject in claim.subjects)
+        and (not claim.estimators or score.estimator in claim.estimators)
+    )
+
+
+def verdict_text(verdict: Verdict) -> str:
+    """Return one line for the terminal."""
+    s, mark = verdict.worst, "held  " if verdict.held else "BROKEN"
+    error = "" if s.std_error is None else f" +- {s.std_error:.2g}"
+    who = " ".join(part for part in (s.condition, s.subject, s.estimator) if part)
+    return f"{mark}  {verdict.claim}: {s.value:.3g}{error} ({who}, {s.rigs} rigs)"

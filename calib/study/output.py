@@ -1,0 +1,91 @@
+"""What a study writes: scores.csv, scores.json and figures."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from calib import __version__
+from calib.store import write_bytes
+from calib.study.claims import Verdict
+from calib.study.conditions import GROUPS
+from calib.study.figures import FIGURES, ranks, styled
+from calib.study.scores import NOISE, Score
+
+Record = dict[str, Any]
+
+DIGITS = 4
+"""Significant digits in the table: far more than so many rigs support."""
+
+
+def write_study(
+    out: Path,
+    records: Sequence[Record],
+    scores: Sequence[Score],
+    verdicts: Sequence[Verdict],
+    *,
+    settings: Mapping[str, Any],
+) -> tuple[Path, ...]:
+    """Write table and figures; return the files.
+
+    Parameters
+    ----------
+    settings
+        Command, seed and number of rigs, for scores.json.
+    """
+    document = {
+        "generator": f"calib {__version__}",
+        "settings": dict(settings),
+        "claims": [asdict(verdict) for verdict in verdicts],
+        "scores": [asdict(score) for score in scores],
+    }
+    text = json.dumps(document, indent=1, allow_nan=False, default=str) + "\n"
+    contents: dict[str, bytes | None] = {
+        "scores.csv": table(scores).encode(),
+        "scores.json": text.encode(),
+        "ranks.svg": styled(lambda: ranks(_ranks(records))),
+    }
+    for name, draw in FIGURES.items():
+        contents[f"{name}.svg"] = styled(lambda draw=draw: draw(scores))  # type: ignore[misc]
+    written = []
+    for name, content in contents.items():
+        if content is not None:
+            write_bytes(out / name, content)
+            written.append(out / name)
+    return tuple(written)
+
+
+def table(scores: Sequence[Score]) -> str:
+    """Return the scores as CSV, one line each."""
+    buffer = io.StringIO()
+    writer = csv.writer(buffer, lineterminator="\n")
+    writer.writerow([field.name for field in fields(Score)])
+    for score in scores:
+        writer.writerow([_cell(value) for value in asdict(score).values()])
+    return buffer.getvalue()
+
+
+def _cell(value: object) -> object:
+    if isinstance(value, float):
+        return f"{value:.{DIGITS}g}"
+    return "" if value is None else value
+
+
+def _ranks(records: Sequence[Record]) -> dict[str, dict[str, np.ndarray]]:
+    """Return the ranks of the truth by condition and parameter, for the rank conditions."""
+    found: dict[str, dict[str, list[float]]] = {}
+    for record in records:
+        if record["condition"] not in GROUPS["ranks"] or "failed" in record:
+            continue
+        one = found.setdefault(record["condition"], {})
+        for name, parameter in record["parameters"].items():
+            one.setdefault(name, []).append(parameter["posterior"][2])
+        one.setdefault(NOISE, []).append(record[NOISE][3])
+    return {c: {n: np.array(r) for n, r in one.items()} for c, one in found.items()}

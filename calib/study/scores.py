@@ -1,0 +1,226 @@
+"""Scores of a study: from records of rigs to one long table."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.stats import chi2
+
+from calib.arrays import FloatArray
+from calib.study.conditions import ADVICE, CONDITIONS
+from calib.study.rigs import BEYOND, INSIDE
+
+Record = dict[str, Any]
+
+LEVELS = (0.5, 0.9, 0.95)
+
+RIGS_PER_BIN = 25
+MOST_BINS = 20
+"""Rank bins: enough to see a wrong width, full enough for chi-squared (five is the usual least)."""
+
+CLEAR_SIGMA = 5.0
+"""An axis offset so many of its standard errors from 0 must not be overlooked."""
+
+EXTENDED = "axis-offset"
+NOISE = "noise_scale"
+
+
+@dataclass(frozen=True)
+class Score:
+    """One figure of the table.
+
+    Parameters
+    ----------
+    condition
+        Name of the condition.
+    subject
+        A parameter, "depth inside", "depth beyond", "model" or "rigs".
+    estimator
+        Whose figure it is: linear, bilinear, robust, posterior, selected, measure, or a model.
+    statistic
+        Bias in units of the bound, efficiency, pull_rms, coverage50, coverage90, coverage95,
+        uniformity_p, u_rel, share, count.
+    value, std_error
+        With the standard error that the finite number of rigs leaves; None where it has none.
+    rigs
+        Rigs it is from.
+    """
+
+    condition: str
+    subject: str
+    estimator: str
+    statistic: str
+    value: float
+    std_error: float | None
+    rigs: int
+
+
+def score_all(records: Iterable[Record]) -> tuple[Score, ...]:
+    """Return the scores of all conditions that have records."""
+    by_condition: dict[str, list[Record]] = {}
+    for record in sorted(records, key=lambda r: int(r["number"])):
+        by_condition.setdefault(record["condition"], []).append(record)
+    found: list[Score] = []
+    for name in (*CONDITIONS, ADVICE):
+        if name not in by_condition:
+            continue
+        failed = [r for r in by_condition[name] if "failed" in r]
+        good = [r for r in by_condition[name] if "failed" not in r]
+        found.append(Score(name, "rigs", "", "failed", float(len(failed)), None, len(good)))
+        if good:
+            found += _advice(good) if name == ADVICE else _condition(name, good)
+    return tuple(found)
+
+
+def _condition(name: str, records: Sequence[Record]) -> Iterator[Score]:
+    yield from _parameters(name, records)
+    yield from _noise(name, records)
+    for part in (INSIDE, BEYOND):
+        yield from _depths(name, part, records)
+    if len(CONDITIONS[name].fitted) > 1:
+        yield from _selection(name, records)
+
+
+def _mean(values: FloatArray) -> tuple[float, float | None]:
+    """Return the mean and its standard error."""
+    error = float(values.std(ddof=1) / np.sqrt(len(values))) if len(values) > 1 else None
+    return float(values.mean()), error
+
+
+def _rms(values: FloatArray) -> tuple[float, float | None]:
+    """Return the root mean square and its standard error."""
+    square, error = _mean(values**2)
+    root = float(np.sqrt(square))
+    return root, None if error is None or root == 0 else error / (2 * root)
+
+
+def _parameters(name: str, records: Sequence[Record]) -> Iterator[Score]:
+    known = [r["parameters"] for r in records if "parameters" in r]
+    if not known:
+        return
+    for parameter, first in known[0].items():
+        each = [k[parameter] for k in known]
+        truth, bound, ideal = (
+            np.array([e[key] for e in each]) for key in ("truth", "bound", "ideal")
+        )
+        clean = CONDITIONS[name].outlier_share == 0
+        best = (ideal - truth) / bound if clean else None
+        for estimator in ("linear", "bilinear", "robust", "posterior"):
+            if estimator not in first:
+                continue
+            value = np.array([np.atleast_1d(e[estimator])[0] for e in each])
+            miss = (value - truth) / bound
+            for statistic, (mean, error) in (
+                ("bias", _mean(miss)),
+                ("efficiency", _efficiency(miss, best)),
+            ):
+                yield Score(name, parameter, estimator, statistic, mean, error, len(each))
+            if estimator in ("robust", "posterior"):
+                yield from _pulls(name, parameter, estimator, each)
+        ranks = np.array([e["posterior"][2] for e in each])
+        yield from _coverage(name, parameter, "posterior", [[rank] for rank in ranks])
+        yield _uniformity(name, parameter, ranks, tests=len(known[0]) + 1)
+
+
+def _efficiency(miss: FloatArray, best: FloatArray | None) -> tuple[float, float | None]:
+    """Return Cramer-Rao bound over mean square error, from misses in units of the bound.
+
+    Parameters
+    ----------
+    best
+        Misses of the estimate that attains the bound, on the same rows; None on rows with outliers,
+        where it attains nothing: the bound itself, 1, then stands in its place.
+    """
+    attained = np.ones(len(miss)) if best is None else best**2
+    square = float(np.mean(miss**2))
+    ratio = float(np.mean(attained)) / square
+    _, error = _mean((attained - ratio * miss**2) / square)
+    return ratio, error
+
+
+def _pulls(
+    name: str, parameter: str, estimator: str, each: Sequence[Mapping[str, Any]]
+) -> Iterator[Score]:
+    identified = [e for e in each if e["identified_by"] == "data"]
+    if not identified:
+        return
+    pull = np.array([(e[estimator][0] - e["truth"]) / e[estimator][1] for e in identified])
+    value, error = _rms(pull)
+    yield Score(name, parameter, estimator, "pull_rms", value, error, len(pull))
+
+
+def _noise(name: str, records: Sequence[Record]) -> Iterator[Score]:
+    ranks = np.array([r[NOISE][3] for r in records])
+    yield from _coverage(name, NOISE, "posterior", [[rank] for rank in ranks])
+    tests = 1 + len(records[0].get("parameters", {}))
+    yield _uniformity(name, NOISE, ranks, tests=tests)
+
+
+def _coverage(
+    name: str, subject: str, estimator: str, ranks: Sequence[Sequence[float]]
+) -> Iterator[Score]:
+    """Yield how often central intervals hold the truth; rigs are independent, depths are not."""
+    for level in LEVELS:
+        hits = np.array([np.mean(np.abs(np.array(r) - 0.5) <= level / 2) for r in ranks if r])
+        value, error = _mean(hits)
+        statistic = f"coverage{100 * level:.0f}"
+        yield Score(name, subject, estimator, statistic, value, error, len(hits))
+
+
+def _uniformity(name: str, subject: str, ranks: FloatArray, *, tests: int) -> Score:
+    """Return the chi-squared p of uniform ranks, corrected for so many tests (Bonferroni)."""
+    bins = int(np.clip(len(ranks) // RIGS_PER_BIN, 2, MOST_BINS))
+    counts = np.histogram(ranks, bins=bins, range=(0, 1))[0]
+    expected = len(ranks) / bins
+    p = float(chi2.sf(((counts - expected) ** 2).sum() / expected, bins - 1))
+    return Score(name, subject, "posterior", "uniformity_p", min(1.0, p * tests), None, len(ranks))
+
+
+def _depths(name: str, part: str, records: Sequence[Record]) -> Iterator[Score]:
+    subject = f"depth {part}"
+    depths = [r["depths"][part] for r in records]
+    yield from _coverage(name, subject, "selected", [d["rank"] for d in depths])
+    hits = np.array([np.mean(d["measure95"]) for d in depths if d["measure95"]])
+    yield Score(name, subject, "measure", "coverage95", *_mean(hits), len(hits))
+    widths = np.array([np.median(d["u_rel"]) for d in depths if d["u_rel"]])
+    yield Score(name, subject, "selected", "u_rel", float(np.median(widths)), None, len(widths))
+    biases = np.array(
+        [np.mean(np.array(d["error_rel"]) / d["u_rel"]) for d in depths if d["u_rel"]], dtype=float
+    )
+    yield Score(name, subject, "selected", "bias", *_mean(biases), len(biases))
+
+
+def _selection(name: str, records: Sequence[Record]) -> Iterator[Score]:
+    for model in CONDITIONS[name].fitted:
+        chosen = np.array([float(r["selected"] == model) for r in records])
+        yield Score(name, "model", model, "share", *_mean(chosen), len(chosen))
+    clear = [
+        r
+        for r in records
+        if "axis_z_mm" in r.get("parameters", {})
+        and abs(r["parameters"]["axis_z_mm"]["truth"])
+        > CLEAR_SIGMA * r["parameters"]["axis_z_mm"]["bound"]
+    ]
+    if clear:
+        chosen = np.array([float(r["selected"] == EXTENDED) for r in clear])
+        yield Score(name, "model", EXTENDED, "share_clear", *_mean(chosen), len(chosen))
+
+
+def _advice(records: Sequence[Record]) -> list[Score]:
+    """Return how much lower u(z) is after advised than after random targets."""
+    found = []
+    for criterion in records[0]["u_rel"]:
+        if criterion == "random":
+            continue
+        ratio = np.array([r["u_rel"][criterion] / r["u_rel"]["random"] for r in records])
+        spread = np.diff(np.quantile(ratio, [0.25, 0.75]))[0]
+        # Standard error of a median, from the quartiles of a normal sample.
+        error = float(1.2533 * spread / 1.349 / np.sqrt(len(ratio)))
+        found.append(
+            Score(ADVICE, "depth asked", criterion, "u_ratio", float(np.median(ratio)), error,
+                  len(ratio))
+        )  # fmt: skip
+    return found

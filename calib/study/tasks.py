@@ -1,0 +1,120 @@
+"""The unit of work of a study, and who does it: this process, others here, or a Dask cluster."""
+
+from __future__ import annotations
+
+import importlib
+import multiprocessing
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from calib.errors import EstimationError, UsageError
+from calib.fingerprint import code_fingerprint, digest
+from calib.study.conditions import ADVICE, CONDITIONS
+
+Record = dict[str, Any]
+
+RETRIES = 3
+"""Times that a rig is given to another worker after one has died over it."""
+
+CONNECT_SECONDS = 10
+
+
+@dataclass(frozen=True)
+class Task:
+    """One rig of one condition."""
+
+    condition: str
+    seed: int
+    number: int
+    key: str
+
+
+def key_of(condition: str, seed: int) -> str:
+    """Return the hash of all that a condition's results depend on, the rig's number left out."""
+    fields = asdict(CONDITIONS[condition]) if condition in CONDITIONS else condition
+    module = "calib.study.advice" if condition == ADVICE else "calib.study.trial"
+    return digest(fields, seed, code_fingerprint(module))[:16]
+
+
+def perform(task: Task) -> Record:
+    """Return the record of one rig; the same on any machine with these versions."""
+    if task.condition == ADVICE:
+        from calib.study.advice import run_advice
+
+        record: Record = run_advice(seed=task.seed, number=task.number)
+    else:
+        from calib.study.trial import run_trial
+
+        record = run_trial(CONDITIONS[task.condition], seed=task.seed, number=task.number)
+    record["key"] = task.key
+    return record
+
+
+def perform_all(tasks: Sequence[Task], *, jobs: int, scheduler: str | None) -> Iterator[Record]:
+    """Yield records in the order in which they are finished.
+
+    Parameters
+    ----------
+    jobs
+        Processes on this machine; 1 works in this one.
+    scheduler
+        Address of a Dask scheduler to work on instead.
+
+    Raises
+    ------
+    UsageError
+        If the cluster cannot be reached.
+    EstimationError
+        If workers die again and again.
+    """
+    if scheduler is not None:
+        return _on_cluster(tasks, scheduler)
+    if jobs == 1:
+        return map(perform, tasks)
+    return _on_processes(tasks, jobs)
+
+
+def _on_processes(tasks: Sequence[Task], jobs: int) -> Iterator[Record]:
+    # Fresh interpreters: a fork would inherit threads of libraries in the middle of something.
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(jobs, mp_context=context) as pool:
+        futures = [pool.submit(perform, task) for task in tasks]
+        try:
+            for future in as_completed(futures):
+                yield future.result()
+        except BrokenProcessPool as error:
+            raise EstimationError(
+                "a worker process died; finished rigs are kept: run the same command again"
+            ) from error
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)
+
+
+def _on_cluster(tasks: Sequence[Task], address: str) -> Iterator[Record]:
+    try:
+        distributed: Any = importlib.import_module("distributed")
+    except ImportError as error:
+        raise UsageError(
+            "--scheduler needs the package distributed: pip install 'calib[cluster]'"
+        ) from error
+    try:
+        client = distributed.Client(address, timeout=CONNECT_SECONDS)
+    except (OSError, ValueError) as error:
+        raise UsageError(
+            f"--scheduler {address}: no Dask scheduler answers there; start one with "
+            "`dask scheduler` and workers with `dask worker ADDRESS`"
+        ) from error
+    with client:
+        # Keys of their own: a rig asked for twice, by two studies, is still computed afresh.
+        futures = client.map(perform, tasks, pure=False, retries=RETRIES)
+        try:
+            for future in distributed.as_completed(futures):
+                yield future.result()
+        except distributed.KilledWorker as error:
+            raise EstimationError(
+                f"workers died over one rig {RETRIES} times; finished rigs are kept: look at the "
+                "workers' memory and run the same command again"
+            ) from error

@@ -1,0 +1,311 @@
+"""Evidence: property, and the figures of the results the certificate is made from."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import fields, is_dataclass, replace
+from datetime import UTC, datetime, timedelta, timezone
+from decimal import Decimal
+
+import example
+import numpy as np
+import pytest
+
+from calib.certificate.build import build_certificate
+from calib.certificate.data import CertificateData
+from calib.certificate.inputs import Administration, CertificateInputs, NotCertified, new_issue
+from calib.certificate.wording import NOT_STATED, clean
+from calib.gates import Gate
+from calib.uncertainty.certified import CheckedDepth, check_depth
+from calib.uncertainty.conformity import ToleranceRule
+
+DIGITS = "0123456789ab"
+
+
+def _values(data: CertificateData) -> dict[str, str]:
+    return {entry.label: entry.value for line in data.fields for entry in line}
+
+
+def test_every_field_of_iso_17025_is_there_as_stated() -> None:
+    data = build_certificate(example.inputs())
+    values = _values(data)
+    stated = example.STATED
+    assert values["Laboratory"] == stated.laboratory
+    assert values["Address"] == stated.address
+    assert values["Customer"] == stated.customer
+    assert values["Item calibrated"] == stated.instrument
+    assert values["Serial number"] == stated.serial
+    assert values["Condition"] == stated.condition
+    assert values["Place of calibration"] == stated.location
+    assert values["Date of calibration"] == "2026-01-31"
+    assert values["Date of issue"] == "2026-02-01"
+    assert values["Conditions"] == "temperature 21.3 °C; relative humidity 45 %"
+    assert values["Calibrated by"] == stated.operator
+    assert values["Authorised by"] == stated.approved_by
+    assert values["Deviations"] == "none"
+    assert values["Traceability"].startswith("The scale of depth is that of the reference: stereo")
+    statements = " ".join(s.value for s in data.statements)
+    assert "relate only to the item calibrated" in statements
+    assert "not be reproduced except in full" in statements
+    assert "No accreditation is claimed" in statements
+
+
+def test_what_the_manifest_leaves_out_is_not_stated() -> None:
+    data = build_certificate(example.inputs(administration=Administration(), tolerance=None))
+    values = _values(data)
+    silent = set(values) - {"Method", "Traceability", "Date of issue"}
+    assert {values[label] for label in silent} == {NOT_STATED}
+    assert len(silent) == 13
+    assert data.country == "ZZ"
+    assert data.performed == data.issued
+    assert data.conclusion.verdict is None
+    assert "no statement of conformity" in data.conclusion.words
+    assert all(line.judgement is None for line in data.depths)
+
+
+def test_one_condition_alone_does_not_hide_the_other() -> None:
+    data = build_certificate(example.inputs(administration=Administration(temperature_c=20.0)))
+    assert _values(data)["Conditions"] == "temperature 20 °C; relative humidity not stated"
+
+
+def test_a_reference_without_name_is_said_so() -> None:
+    inputs = example.inputs()
+    inputs = replace(inputs, calibration=replace(inputs.calibration, reference=None))
+    assert _values(build_certificate(inputs))["Traceability"].startswith(NOT_STATED)
+
+
+def test_numbers_are_rounded_to_two_digits_of_their_uncertainty() -> None:
+    inputs = example.inputs(posterior=False)
+    data = build_certificate(inputs)
+    for line, certified in zip(data.depths, inputs.evidence.depths, strict=True):
+        shown = line.depth
+        u = shown.expanded_uncertainty or shown.standard_uncertainty
+        assert u is not None
+        place = Decimal(u).as_tuple().exponent
+        assert len(Decimal(u).as_tuple().digits) == 2
+        assert Decimal(shown.value).as_tuple().exponent == place
+        assert shown.low is not None
+        assert shown.high is not None
+        interval = certified.result.interval
+        assert Decimal(shown.low) <= Decimal(repr(interval.low))
+        assert Decimal(shown.high) >= Decimal(repr(interval.high))
+        half = max(certified.result.z_mm - interval.low, interval.high - certified.result.z_mm)
+        assert float(line.relative) >= 100 * half / certified.result.z_mm
+
+
+def test_a_coverage_factor_stands_only_where_the_linear_result_is_valid() -> None:
+    for posterior in (True, False):
+        inputs = example.inputs(posterior=posterior)
+        data = build_certificate(inputs)
+        for line, certified in zip(data.depths, inputs.evidence.depths, strict=True):
+            assert (line.depth.coverage_factor is not None) == certified.result.linear_valid
+            assert (line.depth.expanded_uncertainty is None) == (line.depth.coverage_factor is None)
+    posterior_data = build_certificate(example.inputs(posterior=True))
+    assert all(p.coverage_factor is None for p in posterior_data.parameters)
+    fitted = build_certificate(example.inputs(posterior=False))
+    assert {p.coverage_factor for p in fitted.parameters} == {"2.07"}  # t, 22 degrees of freedom
+
+
+def test_parameters_of_a_posterior_state_its_shortest_interval() -> None:
+    inputs = example.inputs()
+    data = build_certificate(inputs)
+    draws = inputs.calibration.instrument.parameters.draws
+    assert draws is not None
+    delta2 = data.parameters[1]
+    assert delta2.unit == "mrad"
+    inside = np.mean(
+        (1e3 * draws[:, 1] >= float(delta2.low or 0))
+        & (1e3 * draws[:, 1] <= float(delta2.high or 0))
+    )
+    # Rounded outwards to two digits of u: 95 % and up to 0.2 % more.
+    assert 0.95 <= inside < 0.957
+    assert delta2.remark == "decided by the data"
+
+
+def test_the_method_names_outliers_and_widened_uncertainties() -> None:
+    method = _values(build_certificate(example.inputs()))["Method"]
+    assert "26 rows" in method
+    assert "1 row disagrees with the others (7)" in method
+    assert "widened by a factor of 1.4" in method  # 1.31, never rounded down
+
+
+def test_the_worst_statement_in_the_calibrated_range_decides() -> None:
+    inputs = example.inputs()
+    tight = ToleranceRule(0.006, "guard-band")
+    evidence = example.evidence(True, tight)
+    data = build_certificate(replace(inputs, evidence=evidence))
+    order = ["pass", "conditionalPass", "conditionalFail", "fail"]
+    inside = [
+        line.judgement.verdict for line in data.depths if line.judgement and not line.extrapolated
+    ]
+    inside += [
+        judged.verdict
+        for (_, judged), check in zip(data.checks, evidence.checks, strict=True)
+        if judged and not check.extrapolated
+    ]
+    assert data.conclusion.verdict == max(inside, key=order.index) != "pass"
+
+
+def test_depths_outside_the_calibration_are_marked_and_do_not_decide() -> None:
+    data = build_certificate(example.inputs())
+    assert [line.extrapolated for line in data.depths] == [False, False, False, True]
+    assert any("extrapolated" in caution for caution in data.cautions)
+    assert "3 certified depths" in data.conclusion.basis
+
+
+def test_a_failed_check_forbids_use_and_withholds_every_statement() -> None:
+    inputs = replace(
+        example.inputs(), gates=(Gate("convergence", False, "R-hat 1.4"), Gate("fit", True, "ok"))
+    )
+    data = build_certificate(inputs)
+    assert data.prohibition is not None
+    assert "convergence" in data.prohibition
+    assert data.conclusion.verdict is None
+    assert all(line.judgement is None for line in data.depths)
+    assert all(judged is None for _, judged in data.checks)
+
+
+def test_a_depth_in_range_that_cannot_be_certified_withholds_the_conclusion() -> None:
+    inputs = example.inputs()
+    for depth, verdict in ((700.0, None), (3000.0, "pass")):
+        evidence = replace(inputs.evidence, not_certified=(NotCertified(depth, "no upper limit"),))
+        data = build_certificate(replace(inputs, evidence=evidence))
+        assert data.conclusion.verdict == verdict
+        assert any("no upper limit" in caution for caution in data.cautions)
+
+
+def _with_checks(errors: list[float]) -> CertificateInputs:
+    inputs = example.inputs()
+    checks: tuple[CheckedDepth, ...] = tuple(
+        check_depth(
+            name=str(i),
+            reference_mm=800.0,
+            u_reference_mm=0.5,
+            z_mm=800.0 + error,
+            u_mm=3.0,
+            low95_mm=794.0 + error,
+            high95_mm=806.0 + error,
+            calibrated_mm=example.CALIBRATED_MM,
+            tolerance=ToleranceRule(0.05, "simple"),
+        )
+        for i, error in enumerate(errors)
+    )
+    return replace(inputs, evidence=replace(inputs.evidence, checks=checks))
+
+
+def test_a_contradicting_reference_rules_out_a_pass() -> None:
+    agreeing = build_certificate(_with_checks([1, -2, 3, 5, -8]))
+    assert agreeing.conclusion.verdict == "pass"
+    # 10 mm are within the tolerance of 40 mm, and far beyond U = 6 mm.
+    contradicting = build_certificate(_with_checks([10, -12, 11, 2]))
+    assert contradicting.conclusion.verdict == "conditionalPass"
+    assert "contradicts" in contradicting.conclusion.basis
+    assert any("only 1 of 4" in caution for caution in contradicting.cautions)
+
+
+def test_a_check_without_upper_limit_is_printed_and_fails_nothing_silently() -> None:
+    data = build_certificate(example.inputs())
+    error, judged = data.checks[-1]
+    assert error.low is None
+    assert judged is not None
+    assert judged.verdict != "pass"
+
+
+def test_an_amendment_names_what_it_replaces() -> None:
+    stated = replace(example.STATED, replaces="AG-1", amendment="serial number corrected")
+    data = build_certificate(example.inputs(administration=stated))
+    assert (data.replaces, data.amendment) == ("AG-1", "serial number corrected")
+    assert build_certificate(example.inputs()).replaces is None
+
+
+def test_shares_of_the_printed_budget_add_up() -> None:
+    data = build_certificate(example.inputs())
+    budgets = data.annexes[0].tables
+    assert len(budgets) >= 3
+    for table in budgets:
+        *parts, total = (float(row[-1]) for row in table.rows)
+        assert total == 100
+        # Each share is rounded to 0.1.
+        assert math.isclose(sum(parts), 100, abs_tol=0.05 * len(parts) + 1e-9)
+
+
+def test_slight_inputs_and_pairs_share_a_row_and_parameters_never_do() -> None:
+    inputs = example.inputs()
+    first, *others = inputs.evidence.depths
+    plain = first.result.budget
+    slight = [replace(row, share_percent=0.01) for row in plain.rows]
+    pairs = [replace(pair, share_percent=-0.02) for pair in plain.correlations]
+    budget = replace(plain, rows=tuple(slight), correlations=tuple(pairs))
+    changed = replace(first, result=replace(first.result, budget=budget))
+    evidence = replace(inputs.evidence, depths=(changed, *others))
+    table = build_certificate(replace(inputs, evidence=evidence)).annexes[0].tables[0]
+    names = [row[0] for row in table.rows]
+    assert names == ["L_b", "δ2", "Z_a", "e", "2 further inputs", "6 further pairs", "depth z"]
+    assert table.rows[5][-1] == "-0.1"
+
+
+def test_every_text_is_clean_whatever_the_manifest_says() -> None:
+    forbidden = set("\x07\u202e\u202c\ud800\ufffe")
+    found = list(_strings(build_certificate(example.hostile())))
+    assert sum("<script>" in text for text in found) > 20
+    for text in found:
+        assert not forbidden & set(text)
+
+
+def _strings(value: object):
+    if isinstance(value, str):
+        yield value
+    elif isinstance(value, tuple):
+        for item in value:
+            yield from _strings(item)
+    elif is_dataclass(value):
+        for field in fields(value):
+            yield from _strings(getattr(value, field.name))
+
+
+@pytest.mark.parametrize(
+    ("text", "shown"),
+    [
+        (None, NOT_STATED),
+        ("", NOT_STATED),
+        (" \n\t ", NOT_STATED),
+        ("a\nb  c", "a b c"),
+        ("\u202eabc", "\ufffdabc"),
+        ("bell\x07", "bell\ufffd"),
+        ("שלום", "שלום"),
+    ],
+)
+def test_clean(text: str | None, shown: str) -> None:
+    assert clean(text) == shown
+
+
+def test_identifiers_never_repeat() -> None:
+    now = datetime(2026, 2, 1, 9, 30, 12, tzinfo=UTC)
+    first = new_issue(now=now, dataset_sha256="3f2a9c1b" + "0" * 56, token=DIGITS)
+    assert first.identifier == "AG-20260201T093012Z-3F2A9C1B-0123456789AB"
+    assert first.issued == "2026-02-01"
+    other_token = new_issue(now=now, dataset_sha256="3f2a9c1b", token="a" * 12)
+    other_data = new_issue(now=now, dataset_sha256="00000000", token=DIGITS)
+    later = new_issue(now=now + timedelta(seconds=1), dataset_sha256="3f2a9c1b", token=DIGITS)
+    everything = {first.identifier, other_token.identifier, other_data.identifier, later.identifier}
+    assert len(everything) == 4
+
+
+def test_the_date_of_issue_is_that_of_the_identifier() -> None:
+    zone = timezone(timedelta(hours=9))
+    issue = new_issue(
+        now=datetime(2026, 2, 1, 3, 0, tzinfo=zone), dataset_sha256="3f2a9c1b", token=DIGITS
+    )
+    assert issue.issued == "2026-01-31"
+    assert "20260131T180000Z" in issue.identifier
+
+
+@pytest.mark.parametrize("token", ["", "0123", "0123456789AG", "<script>abcd"])
+def test_a_weak_token_is_refused(token: str) -> None:
+    with pytest.raises(ValueError, match="hexadecimal"):
+        new_issue(now=datetime.now(UTC), dataset_sha256="3f2a9c1b", token=token)
+
+
+def test_a_time_without_zone_is_refused() -> None:
+    with pytest.raises(ValueError, match="time zone"):
+        new_issue(now=datetime(2026, 1, 1), dataset_sha256="3f2a9c1b", token=DIGITS)

@@ -1,0 +1,369 @@
+"""Board detection on rendered pictures. Evidence: simulated truth (corners projected by the same
+camera that drew the pictures), and pictures spoilt on purpose."""
+
+from __future__ import annotations
+
+import functools
+from pathlib import Path
+
+import cv2
+import lens_scenes as scenes
+import numpy as np
+import pytest
+
+from calib.errors import InputError
+from calib.geometry.camera import Camera
+from calib.images.detect import detect
+from calib.images.detect_board import CHESSBOARD_DETECTORS, find_chessboard
+from calib.images.detect_charuco import CharucoFinder
+from calib.images.detect_grid import irregular, orient_like, spacing, squares
+from calib.images.picture import read_grey, thumbnail
+from calib.images.types import Board
+from calib.simulate.pattern import board_pattern
+from calib.simulate.render import Imager, Optics, prepare, render
+
+CHARUCO = Board("charuco", 6, 5, 25.0, (0, 0), "DICT_4X4_50", 19.0)
+SYMMETRIC = Board("chessboard", 7, 5, 25.0, (3, 2))
+
+
+def picture(
+    pose: np.ndarray,
+    board: Board = scenes.BOARD,
+    camera: Camera = scenes.CAMERA,
+    seed: int = 0,
+) -> np.ndarray:
+    imager = plain_imager() if camera is scenes.CAMERA else prepare(camera, Optics())
+    return render(imager, board_pattern(board), pose, np.random.default_rng(seed))
+
+
+@functools.cache
+def plain_imager() -> Imager:
+    return prepare(scenes.CAMERA, Optics())
+
+
+@pytest.fixture(scope="module")
+def drawn() -> list[tuple[np.ndarray, np.ndarray]]:
+    """Pictures and their exact corners."""
+    held = scenes.poses(12, np.random.default_rng(1))
+    return [
+        (picture(pose, seed=i), scenes.seen_by(scenes.CAMERA, pose, scenes.BOARD))
+        for i, pose in enumerate(held)
+    ]
+
+
+def write(folder: Path, name: str, image: np.ndarray) -> str:
+    assert cv2.imwrite(str(folder / name), image)
+    return name
+
+
+def test_corners_agree_with_the_projected_truth(
+    drawn: list[tuple[np.ndarray, np.ndarray]],
+) -> None:
+    errors = []
+    for image, exact in drawn:
+        found = find_chessboard(image, scenes.BOARD)
+        assert found.detector == "cascade:classic"
+        assert not found.goes_on
+        errors.append(found.pixels - exact)
+    error = np.concatenate(errors)
+    assert np.sqrt(np.mean(error**2)) < 0.03
+    # 648 corners of 0.02 px: the mean is known to 0.001 px.
+    assert np.abs(error.mean(axis=0)).max() < 0.005
+
+
+@pytest.mark.parametrize("detector", ["classic", "sector"])
+def test_a_forced_detector_is_used_and_recorded(
+    drawn: list[tuple[np.ndarray, np.ndarray]], detector: str
+) -> None:
+    image, exact = drawn[0]
+    found = find_chessboard(image, scenes.BOARD, detector=detector)
+    assert found.detector == detector
+    # The sector detector's own corners are some five times as far off as refined ones.
+    assert np.sqrt(np.mean((found.pixels - exact) ** 2)) < 0.3
+
+
+def test_cascade_goes_on_to_the_sector_detector(
+    drawn: list[tuple[np.ndarray, np.ndarray]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where the first detector misses: refined, the second one's corners are as good."""
+    monkeypatch.setattr(cv2, "findChessboardCorners", lambda *_, **__: (False, None))
+    image, exact = drawn[0]
+    found = find_chessboard(image, scenes.BOARD)
+    assert found.detector == "cascade:sector"
+    assert np.sqrt(np.mean((found.pixels - exact) ** 2)) < 0.03
+
+
+def test_hard_pictures() -> None:
+    """Blur of 2 px, noise of 8 grey values, dark corners, boards of 15 px a square."""
+    imager = prepare(scenes.CAMERA, Optics(psf_px=2.0, noise=8.0, vignetting=1.5))
+    far = scenes.poses(
+        6, np.random.default_rng(3), place=lambda g: scenes.anywhere(g) * [1, 1, 1] + [0, 0, 250]
+    )
+    for i, pose in enumerate(far):
+        image = render(imager, board_pattern(scenes.BOARD), pose, np.random.default_rng(i))
+        found = find_chessboard(image, scenes.BOARD)
+        exact = scenes.seen_by(scenes.CAMERA, pose, scenes.BOARD)
+        assert found.detector != "none"
+        assert np.sqrt(np.nanmean((found.pixels - exact) ** 2)) < 0.4
+
+
+def test_large_picture_is_searched_small_and_refined_at_full_size() -> None:
+    scale = 2
+    matrix = np.diag([scale, scale, 1.0]) @ scenes.CAMERA.matrix
+    matrix[:2, 2] += (scale - 1) / 2
+    camera = Camera(matrix, scenes.CAMERA.distortion, (1280, 960))
+    pose = scenes.poses(1, np.random.default_rng(4))[0]
+    found = find_chessboard(picture(pose, camera=camera), scenes.BOARD)
+    error = found.pixels - scenes.seen_by(camera, pose, scenes.BOARD)
+    assert np.sqrt(np.mean(error**2)) < 0.03
+
+
+def test_order_does_not_hang_on_how_the_board_is_held() -> None:
+    """A 9 x 6 board has a first corner, by its colours, upside down too."""
+    pose = scenes.poses(1, np.random.default_rng(5))[0]
+    for turn in (0, 90, 180, 270):
+        spin = cv2.Rodrigues(np.array([0, 0, np.radians(turn)]))[0]
+        middle = scenes.BOARD.object_points().mean(axis=0)
+        turned = pose.copy()
+        turned[:3, :3] = pose[:3, :3] @ spin
+        turned[:3, 3] = pose[:3, 3] + pose[:3, :3] @ (middle - spin @ middle)
+        found = find_chessboard(picture(turned), scenes.BOARD)
+        exact = scenes.seen_by(scenes.CAMERA, turned, scenes.BOARD)
+        assert np.abs(found.pixels - exact).max() < 0.3, turn
+
+
+def test_columns_and_rows_exchanged_is_the_same_board() -> None:
+    pose = scenes.poses(1, np.random.default_rng(6))[0]
+    exchanged = Board("chessboard", 6, 9, 25.0, (0, 0))
+    found = find_chessboard(picture(pose), exchanged).pixels
+    exact = scenes.seen_by(scenes.CAMERA, pose, scenes.BOARD)
+    distance = np.linalg.norm(found[:, None] - exact, axis=-1)
+    assert distance.min(axis=1).max() < 0.3
+    # Seen from the front: rows clockwise from columns.
+    grid = found.reshape(9, 6, 2)
+    across, down = grid[0, -1] - grid[0, 0], grid[-1, 0] - grid[0, 0]
+    assert across[0] * down[1] - across[1] * down[0] > 0
+
+
+def test_orient_like_turns_back_what_looks_the_same() -> None:
+    rng = np.random.default_rng(7)
+    for board, turned in ((SYMMETRIC, True), (scenes.BOARD, False)):
+        held = scenes.poses(3, rng, board=board)
+        one = np.array([scenes.seen_by(scenes.CAMERA, pose, board) for pose in held])
+        other = one + np.array([12.0, 3.0])
+        other[1] = other[1, ::-1]
+        agreed = orient_like(one, other, board)
+        assert np.array_equal(agreed[[0, 2]], other[[0, 2]])
+        # Only a board with colours alike from both ends is ever turned.
+        assert np.array_equal(agreed[1], other[1, ::-1] if turned else other[1])
+    one[2, 0] = np.nan
+    assert np.array_equal(orient_like(one, other, board), other, equal_nan=True)
+
+
+def test_orient_like_knows_quarter_turns_of_square_boards() -> None:
+    for count, quarters in ((6, 1), (7, 2)):
+        board = Board("chessboard", count, count, 25.0, (0, 0))
+        pose = scenes.poses(1, np.random.default_rng(8), board=board)[0]
+        one = scenes.seen_by(scenes.CAMERA, pose, board)
+        other = np.rot90(one.reshape(count, count, 2), quarters).reshape(-1, 2)
+        assert np.array_equal(orient_like(one[None], other[None], board)[0], one)
+
+
+def test_no_board_is_no_detection() -> None:
+    rng = np.random.default_rng(9)
+    noise = cv2.GaussianBlur(rng.integers(0, 255, (480, 640)).astype(np.uint8), (0, 0), 3)
+    for image in (np.full((480, 640), 90, np.uint8), cv2.equalizeHist(noise)):
+        found = find_chessboard(image, scenes.BOARD)
+        assert found.detector == "none"
+        assert np.isnan(found.pixels).all()
+
+
+def test_grid_with_a_wrong_corner_or_a_skipped_row_is_irregular() -> None:
+    pose = scenes.poses(1, np.random.default_rng(10))[0]
+    exact = scenes.seen_by(scenes.CAMERA, pose, scenes.BOARD)
+    assert not irregular(exact, scenes.BOARD).any()
+    moved = exact.copy()
+    moved[22] += 0.5 * spacing(exact, scenes.BOARD)[22]
+    assert np.flatnonzero(irregular(moved, scenes.BOARD)).tolist() == [22]
+    taller = Board("chessboard", 9, 7, 25.0, (0, 0))
+    grid = scenes.seen_by(scenes.CAMERA, pose, taller).reshape(7, 9, 2)
+    assert irregular(grid[[0, 1, 2, 4, 5, 6]].reshape(-1, 2), scenes.BOARD).any()
+
+
+def test_corners_of_the_sheet_are_not_inner_corners() -> None:
+    """A grid one row too large ends where squares meet white paper."""
+    pose = scenes.poses(1, np.random.default_rng(11))[0]
+    image = picture(pose)
+    exact = scenes.seen_by(scenes.CAMERA, pose, scenes.BOARD)
+    right = squares(image, exact, scenes.BOARD)
+    assert right.is_board
+    assert not right.goes_on
+    assert min(right.edge) > 0.8
+    taller = Board("chessboard", 9, 7, 25.0, (0, 0))
+    assert not squares(image, scenes.seen_by(scenes.CAMERA, pose, taller), taller).is_board
+    shorter = Board("chessboard", 9, 5, 25.0, (0, 0))
+    assert squares(image, scenes.seen_by(scenes.CAMERA, pose, shorter), shorter).goes_on
+
+
+@pytest.mark.parametrize(("columns", "rows"), [(8, 6), (9, 5), (10, 6), (9, 7)])
+def test_a_count_off_by_one_is_named(
+    tmp_path: Path, drawn: list[tuple[np.ndarray, np.ndarray]], columns: int, rows: int
+) -> None:
+    names = [write(tmp_path, f"{i}.png", drawn[i][0]) for i in range(3)]
+    wrong = Board("chessboard", columns, rows, 25.0, (0, 0))
+    with pytest.raises(InputError, match=r"9 x 6|goes on beyond") as caught:
+        detect(tmp_path, names, wrong, image_size=scenes.SIZE)
+    assert f"{columns} x {rows}" in str(caught.value)
+    assert "count" in str(caught.value)
+
+
+def near(rng: np.random.Generator) -> np.ndarray:
+    return np.array([rng.uniform(-60, 60), rng.uniform(-50, 50), rng.uniform(300, 420)])
+
+
+def test_charuco_in_part() -> None:
+    """Shifted partly out of the picture: the corners left are found, the others are NaN."""
+    pose = scenes.poses(1, np.random.default_rng(12), board=CHARUCO, place=near)[0]
+    exact = scenes.seen_by(scenes.CAMERA, pose, CHARUCO)
+    pose[0, 3] -= pose[2, 3] * (np.median(exact[:, 0]) - 20) / 540
+    exact = scenes.seen_by(scenes.CAMERA, pose, CHARUCO)
+    inside = exact[:, 0] > 15
+    assert 8 < inside.sum() < 25
+    found = CharucoFinder(CHARUCO).find(picture(pose, CHARUCO))
+    seen = np.isfinite(found.pixels[:, 0])
+    assert found.detector == "charuco"
+    assert not seen[exact[:, 0] < 0].any()
+    assert seen[inside].mean() > 0.6
+    assert np.sqrt(np.nanmean((found.pixels - exact) ** 2)) < 0.1
+
+
+def test_charuco_with_too_few_corners_is_not_found() -> None:
+    pose = scenes.poses(1, np.random.default_rng(12), board=CHARUCO, place=near)[0]
+    exact = scenes.seen_by(scenes.CAMERA, pose, CHARUCO)
+    pose[0, 3] -= pose[2, 3] * (exact[:, 0].max() - 20) / 540
+    found = CharucoFinder(CHARUCO).find(picture(pose, CHARUCO))
+    assert found.detector == "none"
+    assert np.isnan(found.pixels).all()
+
+
+def test_charuco_corners_are_accurate_and_unbiased() -> None:
+    finder, errors = CharucoFinder(CHARUCO), []
+    held = scenes.poses(6, np.random.default_rng(13), board=CHARUCO, place=near)
+    for i, pose in enumerate(held):
+        found = finder.find(picture(pose, CHARUCO, seed=i))
+        errors.append(found.pixels - scenes.seen_by(scenes.CAMERA, pose, CHARUCO))
+    error = np.concatenate(errors)
+    assert np.isfinite(error).all(axis=-1).mean() > 0.95
+    assert np.sqrt(np.nanmean(error**2)) < 0.06
+    # 180 corners of 0.04 px: the mean is known to 0.003 px.
+    assert np.abs(np.nanmean(error, axis=0)).max() < 0.012
+
+
+def test_small_charuco_boards_are_enlarged() -> None:
+    """Squares of 17 to 20 px: as they are, corners would be off by 0.2 px."""
+    finder, errors = CharucoFinder(CHARUCO), []
+    far = scenes.poses(4, np.random.default_rng(14), board=CHARUCO, place=lambda g: near(g) * 2)
+    for i, pose in enumerate(far):
+        found = finder.find(picture(pose, CHARUCO, seed=i))
+        errors.append(found.pixels - scenes.seen_by(scenes.CAMERA, pose, CHARUCO))
+    error = np.concatenate(errors)
+    assert np.isfinite(error).all(axis=-1).mean() > 0.5
+    assert np.sqrt(np.nanmean(error**2)) < 0.1
+
+
+@pytest.mark.parametrize(("dictionary", "marker"), [("DICT_9X9", 19.0), (None, 19.0), ("x", None)])
+def test_charuco_without_its_particulars_is_refused(
+    tmp_path: Path, dictionary: str | None, marker: float | None
+) -> None:
+    board = Board("charuco", 6, 5, 25.0, (0, 0), dictionary, marker)
+    name = write(tmp_path, "a.png", np.zeros((480, 640), np.uint8))
+    with pytest.raises(InputError, match="DICT_5X5_100"):
+        detect(tmp_path, [name], board, image_size=scenes.SIZE)
+
+
+def test_deep_and_coloured_images(
+    tmp_path: Path, drawn: list[tuple[np.ndarray, np.ndarray]]
+) -> None:
+    image, exact = drawn[0]
+    deep = (image.astype(np.uint16) * 9 + 700).astype(np.uint16)
+    deep[5, 5] = 65535  # a hot pixel
+    names = [
+        write(tmp_path, "deep.png", deep),
+        write(tmp_path, "deep.tiff", deep),
+        write(tmp_path, "colour.png", cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)),
+        write(tmp_path, "colour.jpg", cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)),
+    ]
+    found = detect(tmp_path, names, scenes.BOARD, image_size=scenes.SIZE)
+    assert found.detector == ("cascade:classic",) * 4
+    assert np.sqrt(np.mean((found.pixels - exact) ** 2, axis=(1, 2))).max() < 0.05
+    assert read_grey(tmp_path / "deep.png", name="deep").std() > 30
+
+
+def test_all_unusable_images_are_named_at_once(
+    tmp_path: Path,
+    drawn: list[tuple[np.ndarray, np.ndarray]],
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    image = drawn[0][0]
+    write(tmp_path, "good.png", image)
+    write(tmp_path, "small.png", image[:, :600])
+    for name in ("cut.png", "cut.jpg", "cut.tiff"):
+        path = tmp_path / name
+        write(tmp_path, name, image)
+        path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    (tmp_path / "empty.png").touch()
+    (tmp_path / "text.png").write_text("no picture")
+    bad = ["small.png", "cut.png", "cut.jpg", "cut.tiff", "empty.png", "text.png", "gone.png"]
+    with pytest.raises(InputError) as caught:
+        detect(tmp_path, ["good.png", *bad], scenes.BOARD, image_size=scenes.SIZE)
+    assert [problem.where for problem in caught.value.problems] == bad
+    assert "600 x 480" in caught.value.problems[0].what
+    assert capfd.readouterr().err == ""
+
+
+def test_each_image_is_read_once_and_progress_is_told(
+    tmp_path: Path, drawn: list[tuple[np.ndarray, np.ndarray]]
+) -> None:
+    names = [write(tmp_path, f"{i}.png", drawn[i][0]) for i in range(2)]
+    blank = write(tmp_path, "blank.png", np.zeros((480, 640), np.uint8))
+    told: list[tuple[int, int]] = []
+    known = {"gone.png": drawn[2][1], "dashes.png": np.full((54, 2), np.nan)}
+    threads = cv2.getNumThreads()
+    found = detect(
+        tmp_path,
+        [*names, names[0], blank, *known],
+        scenes.BOARD,
+        image_size=scenes.SIZE,
+        cache=known,
+        progress=lambda done, total: told.append((done, total)),
+    )
+    assert told == [(i, 5) for i in range(1, 6)]
+    assert cv2.getNumThreads() == threads
+    assert np.array_equal(found.pixels[2], found.pixels[0])
+    assert np.array_equal(found.pixels[4], drawn[2][1])
+    assert found.detector == (*("cascade:classic",) * 3, "none", "cache", "none")
+    assert detect(tmp_path, [], scenes.BOARD, image_size=scenes.SIZE).pixels.shape == (0, 54, 2)
+
+
+def test_cached_corners_outside_of_the_image_are_refused(tmp_path: Path) -> None:
+    known = {"a.png": np.full((54, 2), 700.0)}
+    with pytest.raises(InputError, match=r"a\.png: corner \(700\.0, 700\.0\) is outside"):
+        detect(tmp_path, ["a.png"], scenes.BOARD, image_size=scenes.SIZE, cache=known)
+
+
+def test_choices_of_detector() -> None:
+    assert tuple(CHESSBOARD_DETECTORS) == ("cascade", "classic", "sector")
+
+
+def test_thumbnail_marks_the_corners(drawn: list[tuple[np.ndarray, np.ndarray]]) -> None:
+    image, exact = drawn[0]
+    corners = exact.copy()
+    corners[3] = np.nan
+    small = thumbnail(image, corners, width=320)
+    assert small.shape == (240, 320, 3)
+    plain = thumbnail(image, np.full_like(exact, np.nan), width=320)
+    changed = (small != plain).any(axis=-1)
+    at = np.round((exact + 0.5) / 2 - 0.5).astype(int)
+    near = [changed[v - 3 : v + 4, u - 3 : u + 4].any() for u, v in at]
+    assert sum(near) >= 53
+    assert changed.sum() < 54 * 60

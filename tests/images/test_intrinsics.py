@@ -1,0 +1,169 @@
+"""The intrinsics stage with both backends. Evidence: simulated truth, agreement of independent
+tools (mrcal and OpenCV), and negative controls: scenes that must not yield a confident number."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import lens_scenes as scenes
+import numpy as np
+import pytest
+
+from calib.arrays import FloatArray
+from calib.errors import EstimationError, InputError
+from calib.geometry.camera import intrinsic_vector
+from calib.images.intrinsics import Intrinsics, calibrate_intrinsics
+from calib.images.intrinsics_gates import orientation_fault
+from calib.images.types import Corners
+
+TRUTH = intrinsic_vector(scenes.CAMERA)
+FOCAL = 540.0
+
+
+def calibrate(found: Corners) -> Intrinsics:
+    return calibrate_intrinsics(found, scenes.BOARD, camera="c1", seed=0)
+
+
+def gate(result: Intrinsics, name: str) -> tuple[bool, str]:
+    found = next(g for g in result.gates if g.name == f"c1-{name}")
+    return found.passed, found.detail
+
+
+@pytest.fixture(scope="module")
+def good() -> Intrinsics:
+    """Twenty views of a bowed board; one shows none, one is given twice."""
+    found = scenes.views(22, np.random.default_rng(0), warp_mm=(0.5, -0.3))
+    pixels = found.pixels.copy()
+    pixels[3] = np.nan
+    pixels[9] = pixels[8]
+    return calibrate(scenes.corners(pixels))
+
+
+def test_truth_is_recovered_and_all_gates_pass(good: Intrinsics) -> None:
+    assert all(g.passed for g in good.gates), good.gates
+    std = np.sqrt(np.diag(good.covariance))
+    error = intrinsic_vector(good.camera) - TRUTH
+    assert (np.abs(error) < 4 * std).all()
+    assert std[0] / FOCAL < 0.002
+    assert good.selected.rms_px == pytest.approx(0.05, rel=0.1)
+
+
+def test_mrcal_is_selected_with_the_simplest_lens_and_solves_the_bow(good: Intrinsics) -> None:
+    assert good.selected.backend == "mrcal"
+    assert good.selected.lens_model == "LENSMODEL_OPENCV5"
+    assert good.selected.board_warp_mm == pytest.approx((0.5, -0.3), abs=0.05)
+    assert "plumb-bob it is" in good.selection
+    assert {(f.backend, f.lens_model) for f in good.alternatives} >= {
+        ("opencv", "plumb-bob"),
+        ("mrcal", "LENSMODEL_OPENCV8"),
+    }
+    assert set(good.model_files) == {"plumb-bob", "rational"}
+
+
+def test_backends_agree_on_the_same_board_and_not_on_a_flat_one(good: Intrinsics) -> None:
+    solved, spline = good.differences[:2]
+    assert solved.second == "opencv plumb-bob on mrcal's board"
+    assert solved.ratio < 0.3
+    assert spline.second == "mrcal splined"
+    assert spline.ratio < 2
+    flat = next(d for d in good.differences if d.second == "opencv plumb-bob")
+    assert flat.rms_px > 10 * solved.rms_px
+
+
+def test_views_and_detectors_are_accounted_for(good: Intrinsics) -> None:
+    assert good.detectors == {"cascade:classic": 21, "none": 1}
+    assert good.rejected_views == ("09.png",)
+    assert any("in 1 of 22 intrinsic images (03.png)" in w for w in good.warnings)
+    assert any("repeats" in w and "09.png" in w for w in good.warnings)
+    assert good.uncertainty.std_px.shape == good.differences[0].expected_px.shape
+    assert good.coverage.share > 0.9
+
+
+def test_runs_repeat() -> None:
+    found = scenes.views(8, np.random.default_rng(1))
+    one, two = calibrate(found), calibrate(found)
+    assert np.array_equal(intrinsic_vector(one.camera), intrinsic_vector(two.camera))
+    assert np.array_equal(one.covariance, two.covariance)
+
+
+def test_without_mrcal_opencv_goes_on_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CALIB_MRCAL_PYTHON", "/nonexistent/python")
+    result = calibrate(scenes.views(15, np.random.default_rng(2)))
+    assert result.selected.backend == "opencv"
+    assert result.mrcal_version is None
+    assert any("apt install python3-mrcal" in w for w in result.warnings)
+    assert not any(g.name == "c1-backends" for g in result.gates)
+    error = intrinsic_vector(result.camera) - TRUTH
+    assert (np.abs(error) < 4 * np.sqrt(np.diag(result.covariance))).all()
+
+
+def test_too_few_views_are_refused_with_the_count() -> None:
+    pixels = scenes.views(12, np.random.default_rng(3)).pixels
+    pixels[5:] = np.nan
+    pixels[4] = pixels[0]
+    with pytest.raises(InputError, match=r"4 different views of 12, and 6 are needed"):
+        calibrate(scenes.corners(pixels))
+
+
+def parallel(_: np.random.Generator) -> FloatArray:
+    return np.eye(3)
+
+
+def leaning(_: np.random.Generator) -> FloatArray:
+    return scenes.tilted(np.random.default_rng(5), low_deg=25, high_deg=25)
+
+
+def at_one_place(rng: np.random.Generator) -> FloatArray:
+    return np.array([10.0, -5, 480]) + rng.normal(0, 2, 3)
+
+
+@pytest.mark.parametrize(
+    ("turn", "place", "failed", "words"),
+    [
+        (parallel, scenes.anywhere, "focal-length", "all boards are parallel to the imager"),
+        (leaning, scenes.anywhere, "focal-length", "all boards are parallel to each other"),
+        (leaning, at_one_place, "focal-length", "at one place in one attitude"),
+        (scenes.tilted, at_one_place, "coverage", "the board stood at one place"),
+    ],
+    ids=["parallel to the imager", "parallel to each other", "one attitude", "one place"],
+)
+def test_poor_scenes_are_recognised_and_named(
+    turn: scenes.Draw, place: scenes.Draw, failed: str, words: str
+) -> None:
+    found = scenes.views(12, np.random.default_rng(4), turn=turn, place=place)
+    try:
+        result = calibrate(found)
+    except EstimationError as error:
+        assert words in str(error)
+        return
+    passed, detail = gate(result, failed)
+    assert not passed
+    assert words in detail
+    # Whatever number comes out, it does not claim to be right.
+    error = abs(result.camera.matrix[0, 0] - FOCAL)
+    assert error < 4 * np.sqrt(result.covariance[0, 0])
+
+
+def test_another_board_in_every_view_fails_the_residuals() -> None:
+    """A board that changes its shape from view to view, by some pixels."""
+    rng = np.random.default_rng(6)
+    found = scenes.views(12, rng)
+    bad = replace(found, pixels=found.pixels + rng.normal(0, 4, found.pixels.shape))
+    try:
+        result = calibrate(bad)
+    except EstimationError:
+        return
+    assert not gate(result, "residuals")[0]
+
+
+def test_orientation_fault_tells_the_cases_apart() -> None:
+    rng = np.random.default_rng(7)
+    poses = np.concatenate([rng.normal(0, 0.3, (10, 3)), rng.normal(0, 100, (10, 3))], axis=1)
+    poses[:, 5] += 600
+    assert orientation_fault(poses) is None
+    poses[:, :3] = rng.normal(0, 0.01, (10, 3))
+    assert "parallel to the imager" in str(orientation_fault(poses))
+    poses[:, 0] += 0.5
+    assert "parallel to each other" in str(orientation_fault(poses))
+    poses[:, 3:] = [0, 0, 600]
+    assert "one place in one attitude" in str(orientation_fault(poses))

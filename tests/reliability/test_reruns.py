@@ -1,0 +1,228 @@
+"""What changes makes exactly the stages run again that depend on it.
+
+Evidence: property. The chains are short, see short_chain.py; fingerprints are those of full runs.
+Lines of code are changed in a copy of the package that the fingerprints are pointed to.
+"""
+
+from __future__ import annotations
+
+import importlib.metadata
+import shutil
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+from short_chain import dataset, shorten
+
+import calib.pipeline
+from calib import fingerprint
+from calib.dataset.load import load_dataset
+from calib.pipeline import Options, calibrate
+
+OBSERVED = {"observations", "sense", "base/linear", "base/convex"}
+ROBUST = {f"{model}/robust" for model in ("base", "axis-offset", "axis-tilt", "encoder")}
+POSTERIOR = {"base/posterior", "axis-offset/posterior"}
+AFTER = {"comparison", "instrument", "depths", "validation"}
+SETUPS = {"setup gaze", "setup validation"}
+GAZE = OBSERVED | ROBUST | POSTERIOR | AFTER
+ALL = GAZE | SETUPS | {"validation rows"}
+
+
+def run(data: Path, out: Path, **options: object) -> set[str]:
+    """Run the chain; return the stages that ran."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # emcee warns of chains as short as these
+        done = calibrate(
+            load_dataset(data),
+            out,
+            Options(**options),  # type: ignore[arg-type] # by name
+            announce=lambda _: None,
+            progress=lambda *_: None,
+            command="test",
+        )
+    return set(done.stages_run)
+
+
+@dataclass(frozen=True)
+class Case:
+    """A finished run that a test may spoil."""
+
+    data: Path
+    out: Path
+
+    def edit(self, file: str, old: str, new: str) -> None:
+        path = self.data / file
+        text = path.read_text()
+        assert old in text
+        path.write_text(text.replace(old, new))
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("finished")
+    data = dataset(folder / "data")
+    with pytest.MonkeyPatch.context() as patch:
+        shorten(patch.setattr)
+        assert run(data, folder / "out") == ALL
+    return folder
+
+
+@pytest.fixture
+def case(finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Case:
+    shorten(monkeypatch.setattr)
+    # The files of a run are written at its end whatever has run; these tests look at stages.
+    monkeypatch.setattr(calib.pipeline, "write_outputs", lambda *_, **__: ())
+    shutil.copytree(finished, tmp_path / "case")
+    return Case(tmp_path / "case" / "data", tmp_path / "case" / "out")
+
+
+def test_nothing_changed(finished: Path) -> None:
+    wanted = (finished / "out" / "calibration.json").read_bytes()
+    assert run(finished / "data", finished / "out") == set()
+    assert (finished / "out" / "calibration.json").read_bytes() == wanted
+
+
+INPUTS = {
+    "a gaze row": ("gaze.csv", "486.5", "486.6", GAZE),
+    "a validation row": ("validation.csv", "900", "901", {"validation rows"} | {"validation"}),
+    "an uncertainty": ("dataset.toml", "u_x1c = 0.0002", "u_x1c = 0.0003", ALL),
+    "an uncertainty of z": ("dataset.toml", "u_z_rel = 0.002", "u_z_rel = 0.003", GAZE),
+    "a prior": (
+        "dataset.toml",
+        "[gaze]",
+        "[priors]\naxis_z_mm = [0, 30]\n[gaze]",
+        ROBUST | POSTERIOR | AFTER,
+    ),
+    "words": ("dataset.toml", 'name = "rig"', 'name = "rig"\ntitle = "A rig"', set()),
+    "a comment": ("dataset.toml", "format = 1", "format = 1  # the first", set()),
+}
+
+
+@pytest.mark.parametrize(("file", "old", "new", "stages"), INPUTS.values(), ids=INPUTS.keys())
+def test_input_changed(case: Case, file: str, old: str, new: str, stages: set[str]) -> None:
+    case.edit(file, old, new)
+    ran = run(case.data, case.out)
+    if file == "validation.csv":
+        # The comparison shows validation errors; its winner's instrument is the same.
+        stages = stages | {"comparison"}
+    if stages == GAZE:
+        # Of the setup only the gaze rows' own part may differ.
+        ran -= {"setup gaze", "setup validation", "validation rows"}
+    assert ran == stages
+
+
+def test_seed_changed(case: Case) -> None:
+    assert run(case.data, case.out, seed=1) == POSTERIOR | AFTER
+
+
+def test_depths_changed(case: Case) -> None:
+    assert run(case.data, case.out, depths_mm=(300.0, 2000.0)) == {"depths"}
+
+
+def clear_caches() -> None:
+    for name in ("_source", "_imports", "_is_module", "_closure", "package_version"):
+        getattr(getattr(fingerprint, name), "cache_clear", lambda: None)()
+    fingerprint._requirements.cache_clear()
+    fingerprint.code_fingerprint.cache_clear()
+
+
+@pytest.fixture
+def copied(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> object:
+    """Point the fingerprints to a copy of the package; yield its folder."""
+    real = Path(fingerprint.__file__).parent
+    copy = tmp_path / "calib"
+    shutil.copytree(real, copy, ignore=shutil.ignore_patterns("__pycache__"))
+    find: Callable[[str], Path | None] = fingerprint._source.__wrapped__
+
+    def source(module: str) -> Path | None:
+        path = find(module)
+        return None if path is None else copy / path.relative_to(real)
+
+    monkeypatch.setattr(fingerprint, "_source", source)
+    monkeypatch.setattr(fingerprint, "__file__", str(copy / "fingerprint.py"))
+    clear_caches()
+    yield copy
+    monkeypatch.undo()
+    clear_caches()
+
+
+CODE = {
+    "fit/convex.py": {"base/convex"},
+    "fit/importance.py": POSTERIOR | AFTER,
+    "fit/compare.py": {"comparison"},
+    "uncertainty/predictive.py": {"instrument", "depths", "validation"},
+    "geometry/plane.py": ALL,
+    "report/page.py": set(),
+    "console.py": set(),
+    "images/mrcal_worker.py": set(),
+}
+
+
+def test_copied_code_is_the_same_code(case: Case, copied: Path) -> None:
+    assert (copied / "pipeline.py").exists()
+    assert run(case.data, case.out) == set()
+
+
+@pytest.mark.parametrize(("file", "stages"), CODE.items(), ids=CODE.keys())
+def test_line_of_code_changed(case: Case, copied: Path, file: str, stages: set[str]) -> None:
+    path = copied / file
+    path.write_text(path.read_text() + "# changed\n")
+    clear_caches()
+    assert run(case.data, case.out) == stages
+
+
+def test_worker_of_mrcal_belongs_to_the_code_of_image_stages(copied: Path) -> None:
+    before = fingerprint.code_fingerprint("calib.images.stages")
+    (copied / "images" / "mrcal_worker.py").write_text("# changed\n")
+    clear_caches()
+    assert fingerprint.code_fingerprint("calib.images.stages") != before
+
+
+PACKAGES = {
+    "cvxpy": {"base/convex"},
+    "clarabel": {"base/convex"},  # cvxpy's solver, which calib does not import itself
+    "emcee": POSTERIOR | AFTER,
+    "weasyprint": set(),
+}
+
+
+@pytest.mark.parametrize(("package", "stages"), PACKAGES.items(), ids=PACKAGES.keys())
+def test_package_changed(
+    case: Case, package: str, stages: set[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real = importlib.metadata.version
+    monkeypatch.setattr(
+        importlib.metadata, "version", lambda name: "9.9" if name == package else real(name)
+    )
+    clear_caches()
+    assert run(case.data, case.out) == stages
+    monkeypatch.undo()
+    clear_caches()
+
+
+@pytest.mark.parametrize("other", [None, "('/opt/mrcal/__init__.py', 1, 2)"])
+def test_mrcal_changed(other: str | None, monkeypatch: pytest.MonkeyPatch) -> None:
+    before = fingerprint.code_fingerprint("calib.images.stages")
+    monkeypatch.setattr(fingerprint, "mrcal_identity", lambda: other)
+    clear_caches()
+    changed = fingerprint.code_fingerprint("calib.images.stages")
+    monkeypatch.undo()
+    clear_caches()
+    assert changed != before
+    assert fingerprint.code_fingerprint("calib.images.stages") == before
+
+
+def test_every_package_imported_has_a_version() -> None:
+    clear_caches()
+    root = Path(fingerprint.__file__).parent
+    modules = {
+        ".".join(("calib", *p.relative_to(root).with_suffix("").parts)).removesuffix(".__init__")
+        for p in root.rglob("*.py")
+    }
+    packages = set().union(*(fingerprint._closure(m)[1] for m in modules))
+    assert {"numpy", "scipy", "emcee", "cvxpy", "h5py", "cv2"} <= packages
+    versions = fingerprint._versions(packages - {"mrcal"})
+    missing = {name for name, version in versions.items() if version is None}
+    assert not missing & packages, "a release of these would go unnoticed"

@@ -168,8 +168,8 @@ def tabulate_depths(
 ) -> DepthTable:
     """Return the depth uncertainty from `low_mm` to `high_mm`."""
     z = np.linspace(low_mm, high_mm, points)
-    points = np.stack([np.zeros_like(z), np.zeros_like(z), z], axis=1)
-    gaze = gaze_at(calibrated.instrument.theta, points)
+    targets = np.stack([np.zeros_like(z), np.zeros_like(z), z], axis=1)
+    gaze = gaze_at(calibrated.instrument.theta, targets)
     prediction = predict_depths(
         calibrated.instrument,
         gaze,

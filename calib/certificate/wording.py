@@ -95,13 +95,14 @@ _FORBIDDEN = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\ud800-\udfff\ufffe
 _TURNING = re.compile("[\u061c\u200e\u200f\u202a-\u202e\u2066-\u2069]")
 
 
-def clean(text: str | None) -> str:
-    """Return a text of the manifest as it is printed, on one line; "not stated" without one.
+def printable(text: str) -> str:
+    """Return a text without characters that cannot be printed or turn their neighbours around.
 
-    Characters that cannot be printed, or that turn the direction of their neighbours, show as the
-    replacement character: that something stood there must not be hidden.
+    They show as the replacement character: that something stood there must not be hidden.
     """
-    if text is None:
-        return NOT_STATED
-    shown = _TURNING.sub("\ufffd", _FORBIDDEN.sub("\ufffd", text))
-    return " ".join(shown.split()) or NOT_STATED
+    return _TURNING.sub("\ufffd", _FORBIDDEN.sub("\ufffd", text))
+
+
+def clean(text: str | None) -> str:
+    """Return a text of the manifest as it is printed, on one line; "not stated" without one."""
+    return NOT_STATED if text is None else " ".join(printable(text).split()) or NOT_STATED

@@ -293,7 +293,13 @@ def _loo(
     refitted, unreliable = [], []
     failing = np.flatnonzero(pareto_k > K_HAT_LIMIT)
     for i, child in zip(failing, seed.spawn(len(failing)), strict=True):
-        pointwise[i], reliable = _exact(rows, fit, priors, int(i), np.random.default_rng(child))
+        try:
+            term, reliable = _exact(rows, fit, priors, int(i), np.random.default_rng(child))
+        except EstimationError:
+            # The others alone do not determine the model: the smoothed term stays, and says so.
+            unreliable.append(int(i))
+            continue
+        pointwise[i] = term
         refitted.append(int(i))
         if not reliable:
             unreliable.append(int(i))

@@ -164,10 +164,12 @@ def frame(theta: FloatArray) -> Frame:
             case PlaneOffset():
                 offset = offset + theta[..., i]
             case AxisTilt(about=axis):
-                turn = _rotation(axis, theta[..., i])
-                rotation = turn @ rotation
-                # A tilt applied earlier is carried along by this one.
-                generators = {j: turn @ g @ turn.swapaxes(-1, -2) for j, g in generators.items()}
+                if theta[..., i].any():
+                    turn = _rotation(axis, theta[..., i])
+                    rotation = turn @ rotation
+                    # A tilt applied earlier is carried along by this one.
+                    back = turn.swapaxes(-1, -2)
+                    generators = {j: turn @ g @ back for j, g in generators.items()}
                 generators[i] = _GENERATORS[axis]
             case GazeRoll():
                 roll = roll + theta[..., i]

@@ -10,6 +10,7 @@ from importlib.resources import files
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
+from calib.certificate.wording import printable
 from calib.report.blocks import Section
 from calib.report.context import ReportContext
 from calib.report.sections.comparison import comparison
@@ -51,7 +52,7 @@ def render_report(calibration: Calibration, context: ReportContext) -> str:
     """Return report.html."""
     written = (section(calibration, context) for section in SECTIONS)
     script = _own("report.js")
-    return (
+    page = (
         _environment()
         .get_template("report.html.j2")
         .render(
@@ -63,6 +64,7 @@ def render_report(calibration: Calibration, context: ReportContext) -> str:
             script_hash=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
         )
     )
+    return printable(page)
 
 
 def _environment() -> Environment:

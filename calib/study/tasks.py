@@ -20,6 +20,7 @@ RETRIES = 3
 """Times that a rig is given to another worker after one has died over it."""
 
 CONNECT_SECONDS = 10
+"""Longest wait for a scheduler to answer."""
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ from collections.abc import Collection
 import numpy as np
 from markupsafe import Markup
 
+from calib.certificate.wording import MODELS
 from calib.fit.posterior import Posterior
 from calib.fit.priors import NOISE_SCALE, NOISE_SCALE_PRIOR
 from calib.fit.robust import RobustFit
@@ -105,9 +106,10 @@ def _model(
             )
         )
     rows.append(_noise(posterior, context))
-    chosen = ", selected" if posterior.model == selected(gaze) else ""
+    chosen = " (selected)" if posterior.model == selected(gaze) else ""
+    meant = MODELS.get(posterior.model, "")
     return table(
-        Markup("Model <em>{}</em>{}").format(posterior.model, chosen),
+        Markup("Model <em>{}</em>{}: {}").format(posterior.model, chosen, meant),
         ("Symbol", "Meaning", "Estimate ± u", "Unit", "95 % interval", "Decided by", "Prior"),
         rows,
         note=_tied(fit),

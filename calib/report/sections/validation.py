@@ -8,6 +8,8 @@ import numpy as np
 from markupsafe import Markup
 
 from calib.arrays import FloatArray
+from calib.certificate.inputs import Evidence
+from calib.certificate.wording import LENGTHS_NOTE
 from calib.instrument import ValidationResult, normalised_error, spread_by_group
 from calib.report.blocks import Block, Cell, Paragraph, Section, Table, Text, number, table, words
 from calib.report.context import ReportContext
@@ -38,6 +40,7 @@ def validation(c: Calibration, context: ReportContext) -> Section | None:
         ),
         *_consistency(v, tuple(fit.model for fit in contrasted(c.gaze))),
         _rows(v, names),
+        *_lengths(c.gaze.evidence),
     ]
     return Section("validation", "Validation", tuple(blocks))
 
@@ -111,6 +114,33 @@ def _consistency(v: ValidationResult, models: tuple[str, ...]) -> list[Block]:
             "axis.",
         ),
     ]
+
+
+def _lengths(evidence: Evidence | None) -> list[Block]:
+    """Return errors of measured lengths, where reference lengths are known."""
+    if evidence is None or not evidence.lengths:
+        return []
+    rows = [
+        (
+            words(e.name),
+            decimals(e.reference_mm, 1),
+            estimate(e.measured_mm, e.standard_uncertainty_mm),
+            digits(
+                e.error_mm, 2, mark="" if abs(e.error_mm) <= e.expanded_uncertainty_mm else "bad"
+            ),
+            digits(e.expanded_uncertainty_mm, 2),
+        )
+        for e in evidence.lengths
+    ]
+    heads = ("Length", "reference / mm", "measured ± u / mm", "error / mm", "U of the error / mm")
+    limit = evidence.length_limit
+    told = LENGTHS_NOTE
+    if limit is not None:
+        told += (
+            f" Here A = {significant(limit.constant_mm, digits=2)} mm and "
+            f"K = {significant(limit.slope, digits=2)}."
+        )
+    return [table("Lengths between two measured points", heads, rows, note=told, sortable=True)]
 
 
 def _rows(v: ValidationResult, names: Mapping[str, str]) -> Table:

@@ -17,6 +17,8 @@ from typing import TYPE_CHECKING, Any
 
 from calib import __version__
 from calib.errors import CalibError, UsageError
+from calib.plan import command as plan_command
+from calib.study import command as study_command
 
 if TYPE_CHECKING:
     from calib.dataset.contents import Dataset
@@ -77,6 +79,14 @@ def _parser() -> argparse.ArgumentParser:
         "--set", action="append", default=[], metavar="NAME=VALUE", help="fix a parameter"
     )
     add.set_defaults(run=_simulate)
+
+    add = commands.add_parser("plan", help="where to put the next targets")
+    plan_command.add_arguments(add)
+    add.set_defaults(run=plan_command.run)
+
+    add = commands.add_parser("study", help="many simulated rigs: coverage, bias, efficiency")
+    study_command.add_arguments(add)
+    add.set_defaults(run=study_command.run)
     return parser
 
 

@@ -57,7 +57,17 @@ def put_together(document: Any, arrays: dict[str, np.ndarray[Any, Any]], kind: t
             raise TypeError(f"{value!r} stands where {wanted.__name__} belongs")
         return value
 
+    def sequence(value: Any, wanted: Any) -> tuple[Any, ...]:
+        # Of a text cattrs would make a tuple of its letters.
+        if type(value) is not list:
+            raise TypeError(f"{value!r} stands where a list belongs")
+        kinds = get_args(wanted)
+        if kinds[-1] is Ellipsis:
+            kinds = kinds[:1] * len(value)
+        return tuple(converter.structure(v, k) for v, k in zip(value, kinds, strict=True))
+
     converter = cattrs.Converter(forbid_extra_keys=True, detailed_validation=False)
+    converter.register_structure_hook_func(_is_tuple, sequence)
     converter.register_structure_hook_func(_is_array, fetch)
     for scalar in (bool, int, float, str):
         converter.register_structure_hook(scalar, exact)
@@ -67,3 +77,7 @@ def put_together(document: Any, arrays: dict[str, np.ndarray[Any, Any]], kind: t
 
 def _is_array(kind: Any) -> bool:
     return getattr(kind, "__origin__", None) is np.ndarray
+
+
+def _is_tuple(kind: Any) -> bool:
+    return getattr(kind, "__origin__", None) is tuple

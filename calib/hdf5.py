@@ -12,6 +12,9 @@ import numpy as np
 _NUMBERS = "biuf"
 """Kinds of arrays that are read: booleans, integers, floats. Nothing that refers or evaluates."""
 
+_DAMAGED = (OSError, RuntimeError, ArithmeticError, LookupError, TypeError, MemoryError)
+"""What h5py raises, by where the damage lies."""
+
 
 def hdf5_bytes(fill: Callable[[h5py.File], None]) -> bytes:
     """Return the HDF5 file that `fill` writes, as bytes.
@@ -30,11 +33,14 @@ def hdf5_arrays(image: bytes) -> Mapping[str, np.ndarray[Any, Any]]:
 
     Raises
     ------
-    OSError, ValueError
+    ValueError
         If it is no HDF5 file, or holds anything but plain arrays of numbers that lie in it.
     """
-    with h5py.File(io.BytesIO(image), "r") as file:
-        return {name: _array(file, name, len(image)) for name in file}
+    try:
+        with h5py.File(io.BytesIO(image), "r") as file:
+            return {name: _array(file, name, len(image)) for name in file}
+    except _DAMAGED as error:
+        raise ValueError(f"no readable HDF5: {error}") from error
 
 
 def _array(file: h5py.File, name: str, limit: int) -> np.ndarray[Any, Any]:

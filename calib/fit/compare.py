@@ -20,7 +20,7 @@ from scipy.special import logsumexp
 
 from calib.arrays import FloatArray
 from calib.errors import EstimationError
-from calib.fit.density import LEARNING_RATE, log_posterior
+from calib.fit.density import log_posterior
 from calib.fit.importance import K_HAT_LIMIT, ImportanceSample, sample_importance
 from calib.fit.posterior import Posterior, laplace
 from calib.fit.priors import Priors
@@ -62,7 +62,8 @@ class ModelScore:
         Expected log predictive density of the encoder readings, per rad and row, summed; its
         standard error.
     pointwise
-        Its terms, shape (n,).
+        Its terms, shape (n,). Those of rows set aside as outliers are the models' mean, so that
+        they favour none.
     pareto_k
         Shape parameter of each row's importance weights, shape (n,).
     refitted
@@ -194,16 +195,17 @@ def _compare(
     errors: _DepthErrors,
 ) -> Comparison:
     """Return scores and selection, models in order of rising number of free parameters."""
-    weights = stacking_weights(np.stack([loo.pointwise for loo in loos.values()], axis=1))
+    every = _without_outliers(np.stack([loo.pointwise for loo in loos.values()], axis=1), fits)
+    weights = stacking_weights(every)
     scores = []
-    for (name, loo), weight in zip(loos.items(), weights, strict=True):
+    for (name, loo), pointwise, weight in zip(loos.items(), every.T, weights, strict=True):
         aicc, bic = _information_criteria(rows, fits[name], priors)
         scores.append(
             ModelScore(
                 model=name,
-                loo=float(loo.pointwise.sum()),
-                loo_se=float(np.sqrt(len(rows) * np.var(loo.pointwise))),
-                pointwise=loo.pointwise,
+                loo=float(pointwise.sum()),
+                loo_se=float(np.sqrt(len(rows) * np.var(pointwise))),
+                pointwise=pointwise,
                 pareto_k=loo.pareto_k,
                 refitted=tuple(rows.ids[i] for i in loo.refitted),
                 unreliable=tuple(rows.ids[i] for i in loo.unreliable),
@@ -216,6 +218,19 @@ def _compare(
         )
     selected, reason = select(scores)
     return Comparison(tuple(scores), selected, reason)
+
+
+def _without_outliers(pointwise: FloatArray, fits: Mapping[str, RobustFit]) -> FloatArray:
+    """Return the densities, shape (n, models), with those of outliers the same for all models.
+
+    A gross error says nothing of which model is right, but its density scatters between them by
+    more than that of all other rows together. Outliers are those of the model that leaves the
+    smallest residuals: to one that does not fit, they are rows among others.
+    """
+    closest = min(fits.values(), key=lambda fit: fit.noise_scale)
+    level = pointwise.mean(axis=1, keepdims=True)
+    evened: FloatArray = np.where(closest.aside[:, None], level, pointwise)
+    return evened
 
 
 def select(scores: Sequence[ModelScore]) -> tuple[str, str]:
@@ -276,7 +291,7 @@ def _loo(
     rows: Observations, fit: RobustFit, sample: _Draws, priors: Priors, seed: SeedSequence
 ) -> _Loo:
     """Return leave-one-out densities: Pareto-smoothed, exact where the smoothing fails."""
-    target = log_posterior(rows, MODELS[fit.model], priors, fit.theta)
+    target = log_posterior(rows, MODELS[fit.model], priors, fit.theta, aside=fit.aside)
     used = np.isfinite(sample.log_weights)
     draws, log_prior_weights = sample.draws[used], sample.log_weights[used]
     pointwise, pareto_k = np.empty(len(rows)), np.empty(len(rows))
@@ -286,7 +301,7 @@ def _loo(
         density = target.only(part).pointwise(draws).T
         # A draw's weight once the row is left out: its own over what the row gave it.
         log_weights, pareto_k[part] = array_stats.psislw(
-            LEARNING_RATE * density - log_prior_weights
+            target.power[part, None] * density - log_prior_weights
         )
         log_weights -= logsumexp(log_weights, axis=1, keepdims=True)
         pointwise[part] = logsumexp(density + log_weights, axis=1)
@@ -323,7 +338,7 @@ def _exact(
     others = rows.take(np.arange(len(rows)) != left_out)
     again = fit_robust(others, model, priors, start=fit.theta)
     # The weights stay those of the full fit, so that all terms speak of the same density.
-    target = log_posterior(rows, model, priors, fit.theta)
+    target = log_posterior(rows, model, priors, fit.theta, aside=fit.aside)
     sample = sample_importance(
         target.only(np.flatnonzero(np.arange(len(rows)) != left_out)),
         *laplace(again, target),
@@ -338,7 +353,7 @@ def _information_criteria(
     rows: Observations, fit: RobustFit, priors: Priors
 ) -> tuple[float | None, float]:
     """Return AICc (None where the rows are too few) and BIC."""
-    target = log_posterior(rows, MODELS[fit.model], priors, fit.theta)
+    target = log_posterior(rows, MODELS[fit.model], priors, fit.theta, aside=fit.aside)
     point = np.append(fit.values, np.log(fit.noise_scale))[None]
     deviance = -2 * float(target.pointwise(point).sum())
     count, parameters = len(rows), fit.data_parameters + 1

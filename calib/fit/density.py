@@ -54,6 +54,8 @@ class LogPosterior:
         the residuals alone.
     log_unit
         Log of the density of an encoder reading per unit of standardised closure, shape (n,).
+    power
+        Of each row's density, shape (n,): `LEARNING_RATE`, 0 for a row set aside.
     root, target
         Priors and measured knowledge: ``-|root @ x - target|² / 2``, shapes (r, p) and (r,).
     noise_prior
@@ -64,6 +66,7 @@ class LogPosterior:
     rows: Observations
     sigma: FloatArray
     log_unit: FloatArray
+    power: FloatArray
     root: FloatArray
     target: FloatArray
     noise_prior: tuple[float, float]
@@ -80,20 +83,23 @@ class LogPosterior:
             rows=self.rows.take(chosen),
             sigma=self.sigma[chosen],
             log_unit=self.log_unit[chosen],
+            power=self.power[chosen],
         )
 
     def __call__(self, x: FloatArray) -> FloatArray:
         """Return the log density, shape (m,), of x, shape (m, p + 1), noise scale last."""
+        if not self.power.all():
+            return self.only(np.flatnonzero(self.power))(x)
         theta, log_scale = embed(x[:, :-1], self.model.free), x[:, -1]
         mean, std = self.noise_prior
         total: FloatArray = -0.5 * ((x[:, :-1] @ self.root.T - self.target) ** 2).sum(axis=1)
         total -= 0.5 * ((log_scale - mean) / std) ** 2
         total -= LEARNING_RATE * len(self.rows) * log_scale
-        # A proposal far out in the tail: an infinite width is an answer, its prior refuses it.
+        # Far out in a proposal's tail width or product overflow: the density is then 0, as it is.
         with np.errstate(over="ignore"):
             width = (DOF * CORE**2 * np.exp(2 * log_scale))[:, None]
-        for miss in self._standardised(theta):
-            total -= _NOISE_TAIL * _log_product(1 + miss * miss / width)
+            for miss in self._standardised(theta):
+                total -= _NOISE_TAIL * _log_product(1 + miss * miss / width)
         return total
 
     def pointwise(self, x: FloatArray) -> FloatArray:
@@ -188,9 +194,21 @@ def _coefficients(theta: FloatArray, *, zero_in: bool) -> FloatArray:
 
 
 def log_posterior(
-    rows: Observations, model: Model, priors: Priors, theta: FloatArray
+    rows: Observations,
+    model: Model,
+    priors: Priors,
+    theta: FloatArray,
+    *,
+    aside: BoolArray | None = None,
 ) -> LogPosterior:
-    """Return the log posterior of `model`, with the rows weighted as at `theta`, (COUNT,)."""
+    """Return the log posterior of `model`, with the rows weighted as at `theta`, (COUNT,).
+
+    Parameters
+    ----------
+    aside
+        Rows that say nothing, shape (n,): outliers, see `calib.fit.noise.set_aside`.
+    """
+    silent = np.zeros(len(rows), dtype=np.bool_) if aside is None else aside
     noise = row_noise(theta, rows)
     root, target = (prior_of(model, priors) + measured_of(model, priors)).root()
     return LogPosterior(
@@ -198,6 +216,7 @@ def log_posterior(
         rows=rows,
         sigma=noise.sigma,
         log_unit=np.log(noise.per_angle / noise.sigma),
+        power=np.where(silent, 0.0, LEARNING_RATE),
         root=root,
         target=target,
         noise_prior=priors.noise_scale,

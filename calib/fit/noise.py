@@ -46,6 +46,14 @@ _LOG_NORM = float(
     gammaln((DOF + 1) / 2) - gammaln(DOF / 2) - 0.5 * np.log(DOF * np.pi) - np.log(CORE)
 )
 
+SPARE_FREEDOM = 6.0
+"""Degrees of freedom that must be left to the noise scale before outliers are set aside: with fewer
+a tight but wrong fit of some rows could turn the honest others out."""
+
+KEPT_SHARE = 2 / 3
+"""Least share of rows that is kept: of 14 rows, one in ten an outlier, fewer are left one time in
+a hundred; where more disagree, who is the outlier is no longer plain."""
+
 
 @dataclass(frozen=True)
 class RowNoise:
@@ -88,4 +96,23 @@ def is_outlier(standardised: FloatArray, scale: float) -> BoolArray:
     """Return which rows disagree with the others, shape (n,)."""
     limit = max(OUTLIER_FLOOR, float(norm.isf(OUTLIER_FAMILY_RISK / 2 / len(standardised))))
     outlier: BoolArray = np.abs(standardised) > limit * scale
+    return outlier
+
+
+def set_aside(standardised: FloatArray, scale: float, *, parameters: float) -> BoolArray:
+    """Return which rows are left out of noise scale and posterior, shape (n,).
+
+    The t density keeps outliers from moving the estimate, but each still tells it that the noise is
+    large: with one row in ten the scale comes out half as large again, and with it every interval.
+    Rows named as outliers are therefore set aside where enough others remain.
+
+    Parameters
+    ----------
+    parameters
+        Effective number of parameters that the rows decide.
+    """
+    outlier = is_outlier(standardised, scale)
+    kept = len(outlier) - int(outlier.sum())
+    if kept - parameters < SPARE_FREEDOM or kept < KEPT_SHARE * len(outlier):
+        return np.zeros(len(outlier), dtype=np.bool_)
     return outlier

@@ -166,7 +166,7 @@ def sample_posterior(
     EstimationError
         If the density is not finite near the fit, or the importance sample too poor to start from.
     """
-    target = log_posterior(rows, MODELS[fit.model], priors, fit.theta)
+    target = log_posterior(rows, MODELS[fit.model], priors, fit.theta, aside=fit.aside)
     for_importance, for_shared, for_start, *for_chains = seed.spawn(3 + ENSEMBLES)
     centre, covariance = laplace(fit, target)
     sample = sample_importance(target, centre, covariance, np.random.default_rng(for_importance))

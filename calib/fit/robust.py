@@ -13,10 +13,19 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import least_squares
 
-from calib.arrays import FloatArray
+from calib.arrays import BoolArray, FloatArray
 from calib.errors import EstimationError
 from calib.fit.linear import residual_mrad
-from calib.fit.noise import CORE, DOF, EFFICIENCY, is_outlier, row_noise, weight
+from calib.fit.noise import (
+    CORE,
+    DOF,
+    EFFICIENCY,
+    KEPT_SHARE,
+    is_outlier,
+    row_noise,
+    set_aside,
+    weight,
+)
 from calib.fit.priors import NormalKnowledge, Priors, measured_of, prior_of
 from calib.fit.start import find_start
 from calib.geometry.parameters import MODELS, PARAMETERS, Model, embed
@@ -89,6 +98,11 @@ class RobustFit:
     identified_by: tuple[str, ...]
     data_share: FloatArray
     evaluations: int
+
+    @property
+    def aside(self) -> BoolArray:
+        """Which rows the posterior leaves out as outliers, shape (n,)."""
+        return set_aside(self.standardised, self.noise_scale, parameters=self.data_parameters)
 
     @property
     def theta(self) -> FloatArray:
@@ -176,6 +190,19 @@ class _Problem:
                 break
         return float(np.exp(log_scale))
 
+    def clean_scale(self, standardised: FloatArray, parameters: float) -> float:
+        """Return the noise scale of the rows that are not set aside as outliers."""
+        aside = np.zeros(len(standardised), dtype=np.bool_)
+        scale = self.noise_scale(standardised, parameters)
+        for _ in range(len(standardised)):
+            # An outlier set aside lowers the scale, and may bring another to light.
+            more = aside | set_aside(standardised, scale, parameters=parameters)
+            if more.sum() == aside.sum() or more.sum() > (1 - KEPT_SHARE) * len(more):
+                break
+            aside = more
+            scale = self.noise_scale(standardised[~aside], parameters)
+        return scale
+
     def information(self, theta: FloatArray, sigma: FloatArray, scale: float) -> FloatArray:
         """Return the rows' Fisher information, outliers left out, shape (p, p)."""
         c = closure(theta, self.rows.gaze, self.rows.z_mm, parameters=self.model.indices)
@@ -248,7 +275,7 @@ def fit_robust(
         sigma = row_noise(theta, rows).sigma
         data = problem.information(theta, sigma, scale) + measured.precision
         decided = float(np.trace(_inverse(data + prior.precision, model) @ data))
-        scale = problem.noise_scale(closure_value(theta, rows.gaze, rows.z_mm) / sigma, decided)
+        scale = problem.clean_scale(closure_value(theta, rows.gaze, rows.z_mm) / sigma, decided)
         if np.allclose(np.append(free, scale), before, rtol=1e-9, atol=1e-12):
             break
     fit = _Solution(theta, sigma, scale, decided, data, evaluations)

@@ -185,7 +185,8 @@ def _radial(camera: Camera) -> tuple[Polynomial, Polynomial]:
 
 def _project(camera: Camera, xy: FloatArray) -> _Projection:
     """Project finite normalised coordinates, shape (n, 2), with derivatives."""
-    import cv2  # noqa: PLC0415 - reading a dataset needs `Camera` but not the 0.2 s of this import
+    # Here, as reading a dataset needs `Camera` but not the 0.2 s of this import.
+    import cv2
 
     points = np.concatenate([xy, np.ones((len(xy), 1))], axis=-1)
     lens = camera.distortion if len(camera.distortion) else None

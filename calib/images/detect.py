@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from calib.arrays import FloatArray
 from calib.errors import InputError, Problem
 from calib.images.detect_board import CHESSBOARD_DETECTORS, Found, find_chessboard, other_count
 from calib.images.detect_charuco import CharucoFinder
+from calib.images.opencv import steady_opencv
 from calib.images.picture import Grey, read_grey
 from calib.images.types import Board, Corners
 
@@ -84,7 +83,7 @@ def detect(
     unique = list(dict.fromkeys(images))
     search = _Search(root, board, image_size, detector, known)
     outcomes: dict[str, _Outcome] = {}
-    with _quiet_single_threaded_cv2(), ThreadPoolExecutor(max(1, threads)) as pool:
+    with steady_opencv(), ThreadPoolExecutor(max(1, threads)) as pool:
         for name, outcome in zip(unique, pool.map(search.run, unique), strict=True):
             outcomes[name] = outcome
             if progress is not None:
@@ -162,19 +161,6 @@ class _Search:
                 )
             )
         return _Outcome(Found(pixels, "cache" if np.isfinite(pixels).any() else "none"))
-
-
-@contextmanager
-def _quiet_single_threaded_cv2() -> Iterator[None]:
-    """Keep OpenCV to one thread a call, and its log off the user's terminal."""
-    threads, level = cv2.getNumThreads(), cv2.utils.logging.getLogLevel()
-    cv2.setNumThreads(1)
-    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
-    try:
-        yield
-    finally:
-        cv2.setNumThreads(threads)
-        cv2.utils.logging.setLogLevel(level)
 
 
 def _wrong_count(root: Path, found: Mapping[str, Found], board: Board) -> list[Problem]:

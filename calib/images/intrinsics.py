@@ -37,6 +37,7 @@ from calib.images.intrinsics_mrcal import MrcalFits, fit_mrcal
 from calib.images.intrinsics_opencv import LENSES, fit_opencv
 from calib.images.intrinsics_validate import CrossValidation, cross_validate
 from calib.images.mrcal_process import MIN_CORNERS, focal_start
+from calib.images.opencv import steady_opencv
 from calib.images.pairs import single_view_pose
 from calib.images.types import Board, Corners, LensFit
 
@@ -136,9 +137,10 @@ def calibrate_intrinsics(corners: Corners, board: Board, *, camera: str, seed: i
     corners, repeated = _distinct(corners)
     _require_views(corners, board, camera)
     try:
-        backends = _solve(corners, board, seed)
-        validation = cross_validate(corners, board, backends.checked, points=backends.points)
-        return _assemble(corners, backends, validation, camera=camera, repeated=repeated)
+        with steady_opencv():
+            backends = _solve(corners, board, seed)
+            validation = cross_validate(corners, board, backends.checked, points=backends.points)
+            return _assemble(corners, backends, validation, camera=camera, repeated=repeated)
     except EstimationError as error:
         raise EstimationError(_diagnosis(corners, board, camera, error)) from error
 

@@ -146,9 +146,8 @@ def solve_views(
         ) from error
     poses = np.full((len(used), 6), np.nan)
     poses[views] = np.concatenate([np.reshape(turns, (-1, 3)), np.reshape(shifts, (-1, 3))], axis=1)
-    vector = np.concatenate(
-        [[matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]], np.ravel(distortion)[:count]]
-    )
+    core = [matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]]
+    vector = np.concatenate([core, np.ravel(distortion)[:count]])
     if not (np.isfinite(vector).all() and np.isfinite(poses[views]).all()):
         raise EstimationError(
             f"OpenCV's solution for the {lens} lens is not finite; take board images with other "

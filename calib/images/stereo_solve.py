@@ -34,6 +34,7 @@ from calib.images.bundle import (
 )
 from calib.images.checks import outlier_limit
 from calib.images.mrcal_process import MIN_CORNERS
+from calib.images.opencv import steady_opencv
 from calib.images.pairs import PairStart
 from calib.images.poses import (
     invert_pose,
@@ -226,20 +227,21 @@ def _stereo_calibrate(
     views = np.flatnonzero(used.sum(axis=-1) >= MIN_CORNERS)
     pose_21 = invert_pose(start.pose_12, np.zeros((6, 6)))[0]
     c1, c2 = cameras
-    result = cv2.stereoCalibrateExtended(
-        [points[used[i]].astype(np.float32) for i in views],
-        [start.pixels[0, i][used[i]].astype(np.float32) for i in views],
-        [start.pixels[1, i][used[i]].astype(np.float32) for i in views],
-        c1.matrix,
-        c1.distortion,
-        c2.matrix,
-        c2.distortion,
-        c1.image_size,
-        rotation(pose_21[:3]),
-        pose_21[3:, None].copy(),
-        flags=cv2.CALIB_FIX_INTRINSIC | cv2.CALIB_USE_EXTRINSIC_GUESS,
-        criteria=CRITERIA,
-    )
+    with steady_opencv():
+        result = cv2.stereoCalibrateExtended(
+            [points[used[i]].astype(np.float32) for i in views],
+            [start.pixels[0, i][used[i]].astype(np.float32) for i in views],
+            [start.pixels[1, i][used[i]].astype(np.float32) for i in views],
+            c1.matrix,
+            c1.distortion,
+            c2.matrix,
+            c2.distortion,
+            c1.image_size,
+            rotation(pose_21[:3]),
+            pose_21[3:, None].copy(),
+            flags=cv2.CALIB_FIX_INTRINSIC | cv2.CALIB_USE_EXTRINSIC_GUESS,
+            criteria=CRITERIA,
+        )
     turn, shift, turns, shifts = result[5], result[6], result[9], result[10]
     vector = np.concatenate([cv2.Rodrigues(turn)[0].ravel(), shift.ravel()])
     poses = np.array(start.poses)

@@ -64,7 +64,9 @@ def _calibrated(condition: Condition, bench: Bench, seeds: list[SeedSequence]) -
     fits, samples = {}, {}
     for name in condition.fitted:
         fits[name] = fit_model(bench.rows, bench.priors, model=name)
-        target = log_posterior(bench.rows, MODELS[name], bench.priors, fits[name].theta)
+        target = log_posterior(
+            bench.rows, MODELS[name], bench.priors, fits[name].theta, aside=fits[name].aside
+        )
         samples[name] = sample_importance(target, *laplace(fits[name], target), rng)
     comparison = compare_samples(bench.rows, fits, samples, bench.priors, seed=for_comparison)
     selected = comparison.selected

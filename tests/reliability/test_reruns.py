@@ -9,7 +9,8 @@ from __future__ import annotations
 import importlib.metadata
 import shutil
 import warnings
-from collections.abc import Callable
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -24,7 +25,7 @@ from calib.pipeline import Options, calibrate
 OBSERVED = {"observations", "sense", "base/linear", "base/convex"}
 ROBUST = {f"{model}/robust" for model in ("base", "axis-offset", "axis-tilt", "encoder")}
 POSTERIOR = {"base/posterior", "axis-offset/posterior"}
-AFTER = {"comparison", "instrument", "depths", "validation"}
+AFTER = {"comparison", "instrument", "depths", "validation", "certified depths"}
 SETUPS = {"setup gaze", "setup validation"}
 GAZE = OBSERVED | ROBUST | POSTERIOR | AFTER
 ALL = GAZE | SETUPS | {"validation rows"}
@@ -59,12 +60,51 @@ class Case:
         path.write_text(text.replace(old, new))
 
 
+def without_files(patch: pytest.MonkeyPatch) -> None:
+    """Write no report: it is written whatever has run, and these tests look at stages."""
+    patch.setattr(calib.pipeline, "write_outputs", lambda *_, **__: ())
+
+
+def clear_caches() -> None:
+    for function in (
+        fingerprint._imports,
+        fingerprint._is_module,
+        fingerprint._closure,
+        fingerprint._requirements,
+        fingerprint.package_version,
+        fingerprint.code_fingerprint,
+    ):
+        function.cache_clear()
+
+
 @pytest.fixture(scope="module")
-def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def copied(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """Point the fingerprints to a copy of the package; yield its folder."""
+    real = Path(fingerprint.__file__).parent
+    copy = tmp_path_factory.mktemp("copy") / "calib"
+    shutil.copytree(real, copy, ignore=shutil.ignore_patterns("__pycache__"))
+    find = fingerprint._source
+
+    def source(module: str) -> Path | None:
+        path = find(module)
+        return None if path is None else copy / path.relative_to(real)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(fingerprint, "_source", source)
+        patch.setattr(fingerprint, "__file__", str(copy / "fingerprint.py"))
+        clear_caches()
+        yield copy
+    clear_caches()
+
+
+@pytest.fixture(scope="module")
+def finished(copied: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("finished")
     data = dataset(folder / "data")
+    assert (copied / "pipeline.py").exists()
     with pytest.MonkeyPatch.context() as patch:
         shorten(patch.setattr)
+        without_files(patch)
         assert run(data, folder / "out") == ALL
     return folder
 
@@ -72,21 +112,24 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def case(finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Case:
     shorten(monkeypatch.setattr)
-    # The files of a run are written at its end whatever has run; these tests look at stages.
-    monkeypatch.setattr(calib.pipeline, "write_outputs", lambda *_, **__: ())
+    without_files(monkeypatch)
     shutil.copytree(finished, tmp_path / "case")
     return Case(tmp_path / "case" / "data", tmp_path / "case" / "out")
 
 
-def test_nothing_changed(finished: Path) -> None:
-    wanted = (finished / "out" / "calibration.json").read_bytes()
-    assert run(finished / "data", finished / "out") == set()
-    assert (finished / "out" / "calibration.json").read_bytes() == wanted
+def test_nothing_changed(case: Case) -> None:
+    assert run(case.data, case.out) == set()
 
 
 INPUTS = {
     "a gaze row": ("gaze.csv", "486.5", "486.6", GAZE),
-    "a validation row": ("validation.csv", "900", "901", {"validation rows"} | {"validation"}),
+    # The comparison shows validation errors; its winner's instrument is the same.
+    "a validation row": (
+        "validation.csv",
+        "900",
+        "901",
+        {"validation rows", "comparison", "validation", "certified depths"},
+    ),
     "an uncertainty": ("dataset.toml", "u_x1c = 0.0002", "u_x1c = 0.0003", ALL),
     "an uncertainty of z": ("dataset.toml", "u_z_rel = 0.002", "u_z_rel = 0.003", GAZE),
     "a prior": (
@@ -104,9 +147,6 @@ INPUTS = {
 def test_input_changed(case: Case, file: str, old: str, new: str, stages: set[str]) -> None:
     case.edit(file, old, new)
     ran = run(case.data, case.out)
-    if file == "validation.csv":
-        # The comparison shows validation errors; its winner's instrument is the same.
-        stages = stages | {"comparison"}
     if stages == GAZE:
         # Of the setup only the gaze rows' own part may differ.
         ran -= {"setup gaze", "setup validation", "validation rows"}
@@ -121,38 +161,11 @@ def test_depths_changed(case: Case) -> None:
     assert run(case.data, case.out, depths_mm=(300.0, 2000.0)) == {"depths"}
 
 
-def clear_caches() -> None:
-    for name in ("_source", "_imports", "_is_module", "_closure", "package_version"):
-        getattr(getattr(fingerprint, name), "cache_clear", lambda: None)()
-    fingerprint._requirements.cache_clear()
-    fingerprint.code_fingerprint.cache_clear()
-
-
-@pytest.fixture
-def copied(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> object:
-    """Point the fingerprints to a copy of the package; yield its folder."""
-    real = Path(fingerprint.__file__).parent
-    copy = tmp_path / "calib"
-    shutil.copytree(real, copy, ignore=shutil.ignore_patterns("__pycache__"))
-    find: Callable[[str], Path | None] = fingerprint._source.__wrapped__
-
-    def source(module: str) -> Path | None:
-        path = find(module)
-        return None if path is None else copy / path.relative_to(real)
-
-    monkeypatch.setattr(fingerprint, "_source", source)
-    monkeypatch.setattr(fingerprint, "__file__", str(copy / "fingerprint.py"))
-    clear_caches()
-    yield copy
-    monkeypatch.undo()
-    clear_caches()
-
-
 CODE = {
     "fit/convex.py": {"base/convex"},
     "fit/importance.py": POSTERIOR | AFTER,
     "fit/compare.py": {"comparison"},
-    "uncertainty/predictive.py": {"instrument", "depths", "validation"},
+    "uncertainty/predictive.py": {"instrument", "depths", "validation", "certified depths"},
     "geometry/plane.py": ALL,
     "report/page.py": set(),
     "console.py": set(),
@@ -160,24 +173,29 @@ CODE = {
 }
 
 
-def test_copied_code_is_the_same_code(case: Case, copied: Path) -> None:
-    assert (copied / "pipeline.py").exists()
-    assert run(case.data, case.out) == set()
-
-
 @pytest.mark.parametrize(("file", "stages"), CODE.items(), ids=CODE.keys())
 def test_line_of_code_changed(case: Case, copied: Path, file: str, stages: set[str]) -> None:
-    path = copied / file
-    path.write_text(path.read_text() + "# changed\n")
+    with line_added(copied / file):
+        assert run(case.data, case.out) == stages
+
+
+@contextmanager
+def line_added(path: Path) -> Iterator[None]:
+    """Add a comment to a module's source for a while."""
+    before = path.read_text()
+    path.write_text(before + "# changed\n")
     clear_caches()
-    assert run(case.data, case.out) == stages
+    try:
+        yield
+    finally:
+        path.write_text(before)
+        clear_caches()
 
 
 def test_worker_of_mrcal_belongs_to_the_code_of_image_stages(copied: Path) -> None:
     before = fingerprint.code_fingerprint("calib.images.stages")
-    (copied / "images" / "mrcal_worker.py").write_text("# changed\n")
-    clear_caches()
-    assert fingerprint.code_fingerprint("calib.images.stages") != before
+    with line_added(copied / "images" / "mrcal_worker.py"):
+        assert fingerprint.code_fingerprint("calib.images.stages") != before
 
 
 PACKAGES = {
@@ -203,7 +221,8 @@ def test_package_changed(
 
 
 @pytest.mark.parametrize("other", [None, "('/opt/mrcal/__init__.py', 1, 2)"])
-def test_mrcal_changed(other: str | None, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_mrcal_changed(copied: Path, other: str | None, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert copied.exists()
     before = fingerprint.code_fingerprint("calib.images.stages")
     monkeypatch.setattr(fingerprint, "mrcal_identity", lambda: other)
     clear_caches()
@@ -214,9 +233,8 @@ def test_mrcal_changed(other: str | None, monkeypatch: pytest.MonkeyPatch) -> No
     assert fingerprint.code_fingerprint("calib.images.stages") == before
 
 
-def test_every_package_imported_has_a_version() -> None:
-    clear_caches()
-    root = Path(fingerprint.__file__).parent
+def test_every_package_imported_has_a_version(copied: Path) -> None:
+    root = copied
     modules = {
         ".".join(("calib", *p.relative_to(root).with_suffix("").parts)).removesuffix(".__init__")
         for p in root.rglob("*.py")

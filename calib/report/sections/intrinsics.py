@@ -168,11 +168,18 @@ def _difference_table(i: Intrinsics) -> Table:
             words(_short(d.second)),
             digits(d.rms_px, 2),
             digits(d.expected_rms_px, 2),
+            digits(d.ratio, 2),
             digits(d.max_px, 2),
         )
         for d in i.differences
     ]
-    heads = ("Other calibration", "Difference, rms / px", "Expected, rms / px", "At most / px")
+    heads = (
+        "Other calibration",
+        "Difference, rms / px",
+        "Expected, rms / px",
+        "Difference / expected",
+        "At most / px",
+    )
     return table(f"{i.name.upper()}: other calibrations less the selected one", heads, rows)
 
 

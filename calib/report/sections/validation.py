@@ -19,6 +19,7 @@ from calib.report.plotting import picture
 from calib.report.sections.pick import contrasted, shown_rows
 from calib.results import Calibration
 from calib.uncertainty.format import significant
+from calib.uncertainty.lengths import LengthError
 
 
 def validation(c: Calibration, context: ReportContext) -> Section | None:
@@ -125,9 +126,7 @@ def _lengths(evidence: Evidence | None) -> list[Block]:
             words(e.name),
             decimals(e.reference_mm, 1),
             estimate(e.measured_mm, e.standard_uncertainty_mm),
-            digits(
-                e.error_mm, 2, mark="" if abs(e.error_mm) <= e.expanded_uncertainty_mm else "bad"
-            ),
+            digits(e.error_mm, 2, mark=_beyond(e)),
             digits(e.expanded_uncertainty_mm, 2),
         )
         for e in evidence.lengths
@@ -141,6 +140,10 @@ def _lengths(evidence: Evidence | None) -> list[Block]:
             f"K = {significant(limit.slope, digits=2)}."
         )
     return [table("Lengths between two measured points", heads, rows, note=told, sortable=True)]
+
+
+def _beyond(error: LengthError) -> str:
+    return "bad" if abs(error.error_mm) > error.expanded_uncertainty_mm else ""
 
 
 def _rows(v: ValidationResult, names: Mapping[str, str]) -> Table:

@@ -1,0 +1,345 @@
+"""The page of the report, parsed.
+
+Evidence: properties of the page (structure, escaping, size), and regression of its numbers against
+the results that it was made from.
+"""
+
+from __future__ import annotations
+
+import base64
+import csv
+import hashlib
+import io
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from lxml import etree, html
+from report_examples import everything, images, paper
+
+from calib.gates import Gate
+from calib.images.result import ImageResult
+from calib.report.page import SECTIONS, render_report
+from calib.results import effective_baseline
+
+NO_IMAGES = ImageResult({}, {}, {}, None, None)
+
+LIMIT_BYTES = 3_000_000
+
+HOSTILE = (
+    "<script>alert(1)</script>\"'><img src=x onerror=alert(2)>&amp;{{7*7}}$\\alpha$ "
+    "\u202e\u05d0\u05d1 javascript:alert(3) " + "x" * 300
+)
+
+
+@pytest.fixture(scope="module")
+def full() -> str:
+    return render_report(*everything())
+
+
+@pytest.fixture(scope="module")
+def page(full: str) -> html.HtmlElement:
+    return html.document_fromstring(full)
+
+
+def table(page: html.HtmlElement, caption: str) -> list[list[html.HtmlElement]]:
+    """Return the body's cells of the table with a caption that begins so."""
+    for candidate in page.iter("table"):
+        if candidate.find("caption").text_content().startswith(caption):
+            return [list(row) for row in candidate.find("tbody")]
+    raise AssertionError(f"no table {caption}")
+
+
+def keys(rows: list[list[html.HtmlElement]], column: int) -> list[float]:
+    return [float(row[column].get("data-key")) for row in rows]
+
+
+def decoded(uri: str) -> bytes:
+    return base64.b64decode(uri.partition(";base64,")[2], validate=True)
+
+
+def test_every_section_is_there_and_reached_from_the_contents(page: html.HtmlElement) -> None:
+    sections = page.xpath("//main/section")
+    assert len(sections) == len(SECTIONS)
+    targets = [link.get("href") for link in page.xpath("//nav//a")]
+    assert targets == [f"#{section.get('id')}" for section in sections]
+
+
+def test_the_verdict_comes_first(page: html.HtmlElement) -> None:
+    first = page.xpath("//main/section")[0]
+    assert first.get("id") == "verdict"
+    assert "notice" in first[1].get("class")
+
+
+def test_ids_are_unique(page: html.HtmlElement) -> None:
+    ids = page.xpath("//@id")
+    assert len(ids) == len(set(ids))
+
+
+def test_each_figure_has_text_alternative_caption_and_data(page: html.HtmlElement) -> None:
+    figures = page.xpath("//figure[.//div]")
+    assert len(figures) >= 20
+    for figure in figures:
+        (picture,) = figure.xpath(".//img")
+        # A text alternative says what is seen, with figures; a caption what a fault would be.
+        assert len(picture.get("alt")) > 40, figure.get("id")
+        assert re.search(r"\d", picture.get("alt")), figure.get("id")
+        assert len(figure.find("figcaption").text_content()) > 80, figure.get("id")
+        (link,) = figure.xpath(".//a[@download]")
+        rows = list(csv.reader(io.StringIO(decoded(link.get("href")).decode())))
+        assert len(rows) > 1
+        assert {len(row) for row in rows} == {len(rows[0])}
+
+
+def test_axes_have_units(page: html.HtmlElement) -> None:
+    """Figures say what they show: letters are outlines, so each has many of them."""
+    for picture in page.xpath("//figure[.//div]//img"):
+        root = etree.fromstring(decoded(picture.get("src")))
+        assert len(root.findall(".//{*}g[@id]")) > 10
+
+
+def test_each_thumbnail_says_what_it_shows(page: html.HtmlElement) -> None:
+    shown = page.xpath("//ul[@class='sheet']//img")
+    assert len(shown) == sum(len(sheet.names) for sheet in images().sheets.values())
+    assert all(picture.get("alt") for picture in shown)
+    missed = page.xpath("//ul[@class='sheet']/li[@class='bad']//img")
+    assert [picture.get("alt") for picture in missed] == ["c/06.png: no board found"] * 2
+
+
+def addresses(root: etree._Element) -> list[str]:
+    """Return all that a browser might fetch or follow from a document."""
+    names = ("src", "href", "srcset", "action", "data", "poster", "background", "ping")
+    return [
+        value
+        for element in root.iter()
+        for name, value in element.attrib.items()
+        if etree.QName(name).localname in names
+    ]
+
+
+def test_nothing_leads_out_of_the_file(full: str, page: html.HtmlElement) -> None:
+    for address in addresses(page):
+        assert address.startswith(("#", "data:")), address[:80]
+    for style in re.findall(r"<style>.*?</style>", full, re.DOTALL):
+        assert "url(" not in style
+        assert "@import" not in style
+    for picture in page.xpath("//img[starts-with(@src, 'data:image/svg')]"):
+        drawn = decoded(picture.get("src"))
+        for address in addresses(etree.fromstring(drawn)):
+            assert address.startswith(("#", "data:image/png")), address[:80]
+        assert b"@import" not in drawn
+        assert b"<script" not in drawn
+
+
+def test_only_the_own_script_may_run(full: str) -> None:
+    (script,) = re.findall(r"<script>(.*?)</script>", full, re.DOTALL)
+    allowed = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    (policy,) = re.findall(r'http-equiv="Content-Security-Policy" content="([^"]+)"', full)
+    assert f"script-src 'sha256-{allowed}'" in policy
+    assert policy.startswith("default-src 'none';")
+
+
+def test_the_page_stays_small(full: str) -> None:
+    assert len(full.encode()) < LIMIT_BYTES
+
+
+def test_the_same_results_give_the_same_page(full: str) -> None:
+    assert render_report(*everything()) == full
+
+
+def test_depth_table_holds_the_results(page: html.HtmlElement) -> None:
+    depths = everything()[0].gaze.depths
+    rows = table(page, "Depth uncertainty")
+    np.testing.assert_array_equal(keys(rows, 0), depths.depth_mm)
+    np.testing.assert_array_equal(keys(rows, 1), depths.prediction.u_mm)
+    np.testing.assert_array_equal(keys(rows, 4), depths.prediction.gum_u_mm)
+    assert [row[6].text_content() == "extrapolated" for row in rows] == list(
+        map(bool, depths.extrapolated)
+    )
+
+
+def test_validation_table_holds_the_results(page: html.HtmlElement) -> None:
+    v = everything()[0].gaze.validation
+    rows = table(page, "Validation rows")
+    assert [row[0].text_content() for row in rows] == list(v.ids)
+    np.testing.assert_array_equal(keys(rows, 4), v.prediction.z_mm)
+    np.testing.assert_array_equal(keys(rows, 7), 100 * v.errors[0].error_rel)
+    apart = [row[7].get("class").endswith("bad") for row in rows]
+    # The ruler and the stereo reference disagree about the nearest and the farthest board.
+    assert apart == [name.startswith(("1-", "4-")) for name in v.ids]
+
+
+def test_group_spread_shows_the_axis_offset(page: html.HtmlElement) -> None:
+    rows = table(page, "Spread within groups")
+    assert keys(rows[:1], 3)[0] > 8
+    assert keys(rows[:1], 4)[0] < 2.5
+
+
+def test_parameter_tables_hold_the_posterior(page: html.HtmlElement) -> None:
+    gaze = everything()[0].gaze
+    for model, posterior in gaze.posterior.items():
+        rows = table(page, f"Model {model}")
+        free = len(posterior.names) - 1
+        factors = [1e3 if name.endswith("_rad") else 1.0 for name in posterior.names]
+        shown = keys(rows[:free], 2)
+        np.testing.assert_allclose(shown, (posterior.mean * factors)[:free], rtol=1e-15)
+        assert keys(rows[-1:], 2) == [posterior.mean[-1]]
+        covariance = posterior.covariance[:free, :free]
+        derived = effective_baseline(posterior.names[:free], posterior.mean[:free], covariance)
+        assert (derived is None) == (model == "base")
+        if derived is not None:
+            assert keys(rows[free : free + 1], 2) == [derived[0]]
+
+
+def test_values_are_rounded_to_their_uncertainty(page: html.HtmlElement) -> None:
+    for cell in page.xpath("//td[contains(., ' ± ')]"):
+        value, u = cell.text_content().replace("−", "-").split(" ± ")
+        digits = u.replace(".", "").lstrip("0")
+        if "." in u or len(digits) < 2:
+            assert len(value.partition(".")[2]) == len(u.partition(".")[2]), cell.text_content()
+
+
+def test_comparison_holds_the_results(page: html.HtmlElement) -> None:
+    scores = everything()[0].gaze.comparison.scores
+    rows = table(page, "Models side by side")
+    assert keys(rows, 2) == [score.loo for score in scores]
+    assert keys(rows, 5) == [score.bic for score in scores]
+
+
+def test_intrinsics_and_stereo_hold_the_results(page: html.HtmlElement) -> None:
+    found = images()
+    rows = table(page, "Fits of C1")
+    fits = (found.intrinsics["c1"].selected, *found.intrinsics["c1"].alternatives)
+    assert [float(c.get("data-key")) for c in rows[0][1:]] == [f.camera.matrix[0, 0] for f in fits]
+    rows = table(page, "Pose of C2 in C1")
+    assert [float(c.get("data-key")) for c in rows[3][1:]] == [
+        solve.pose_12[3] for solve in found.stereo.solves
+    ]
+    rows = table(page, "What the sweep measures")
+    assert keys(rows, 2) == [14.9, 1.0, 0.001]
+
+
+def test_the_finding_is_told_in_figures(page: html.HtmlElement) -> None:
+    told = page.xpath("string(//section[@id='residuals'])")
+    fits = everything()[0].gaze.robust
+    for model in ("base", "axis-offset"):
+        assert f"{fits[model].sigma_mrad:.2g} mrad" in told
+
+
+def test_hostile_text_comes_out_as_text() -> None:
+    calibration, context = everything()
+    rows = calibration.gaze.rows
+    hostile = tuple(f"{HOSTILE}{i}" for i in range(len(rows)))
+    sheets = {
+        name: replace(sheet, names=(HOSTILE,) * len(sheet.names))
+        for name, sheet in calibration.images.sheets.items()
+    }
+    calibration = replace(
+        calibration,
+        name=HOSTILE,
+        title=HOSTILE,
+        gaze=replace(calibration.gaze, rows=replace(rows, ids=hostile, groups=hostile)),
+        images=replace(calibration.images, sheets=sheets),
+        gates=(*calibration.gates, Gate(HOSTILE, passed=False, detail=HOSTILE)),
+        warnings=(HOSTILE,),
+    )
+    context = replace(
+        context,
+        source=(("Citation", HOSTILE), ("Address", HOSTILE)),
+        reference=HOSTILE,
+        validation_reference=HOSTILE,
+        made=replace(context.made, command=HOSTILE, commit=HOSTILE),
+    )
+    text = render_report(calibration, context)
+    page = html.document_fromstring(text)
+    assert len(page.xpath("//script")) == 1
+    assert not page.xpath("//img[not(starts-with(@src, 'data:'))]")
+    assert not page.xpath("//@*[starts-with(name(), 'on')]")
+    assert not [a for a in addresses(page) if not a.startswith(("#", "data:"))]
+    readable = HOSTILE.replace("\u202e", "\ufffd")
+    assert page.xpath("//h1")[0].text == readable
+    assert page.xpath("string(//title)") == f"Accuracy report: {readable}"
+    assert table(page, "Calibration rows")[0][0].text_content() == f"{readable}0"
+    assert "49" not in page.xpath("//h1")[0].text
+    # On figures such names give way to numbers; nothing of them may be left in the drawings.
+    for picture in page.xpath("//img[starts-with(@src, 'data:image/svg')]"):
+        assert b"alert" not in decoded(picture.get("src"))
+
+
+def test_a_failed_check_is_said_first() -> None:
+    calibration, context = paper()
+    gate = Gate("convergence", passed=False, detail="the chain did not converge: add rows")
+    page = html.document_fromstring(
+        render_report(replace(calibration, gates=(*calibration.gates, gate)), context)
+    )
+    notices = page.xpath("//section[@id='verdict']/div[contains(@class, 'notice')]")
+    assert "bad" in notices[0].get("class")
+    assert "Do not use" in notices[0].text_content()
+    assert "the chain did not converge: add rows" in notices[-1].text_content()
+
+
+def test_a_dataset_without_gaze_rows_has_its_report() -> None:
+    calibration, context = everything()
+    bare = replace(calibration, gaze=None)
+    page = html.document_fromstring(render_report(bare, replace(context, reference=None)))
+    shown = [section.get("id") for section in page.xpath("//main/section")]
+    assert shown == [
+        "verdict",
+        "data",
+        "detection",
+        "intrinsics",
+        "stereo",
+        "sweep",
+        "provenance",
+    ]
+
+
+def test_rows_that_no_model_fits_have_their_report() -> None:
+    calibration, context = paper()
+    empty = replace(
+        calibration.gaze,
+        linear=None,
+        convex=None,
+        robust={},
+        posterior={},
+        refused={"base/robust": "all targets lie at one place"},
+        comparison=None,
+        calibrated=None,
+        depths=None,
+        validation=None,
+        evidence=None,
+    )
+    gates = (Gate("fit", passed=False, detail="no model could be fitted"),)
+    page = html.document_fromstring(
+        render_report(replace(calibration, gaze=empty, gates=gates), context)
+    )
+    assert "all targets lie at one place" in page.xpath("string(//section[@id='verdict'])")
+
+
+def test_a_depth_without_upper_limit_is_printed_as_such() -> None:
+    calibration, context = paper()
+    depths = calibration.gaze.depths
+    u, high = depths.prediction.u_mm.copy(), depths.prediction.high95_mm.copy()
+    u[-3:] = high[-3:] = np.inf
+    prediction = replace(depths.prediction, u_mm=u, high95_mm=high)
+    gaze = replace(calibration.gaze, depths=replace(depths, prediction=prediction))
+    page = html.document_fromstring(render_report(replace(calibration, gaze=gaze), context))
+    last = table(page, "Depth uncertainty")[-1]
+    assert last[1].text_content() == "∞"
+    assert last[3].text_content().endswith(" to ∞")
+
+
+def test_many_rows_do_not_swell_the_page() -> None:
+    calibration, context = everything()
+    gaze, times = calibration.gaze, 1500
+    rows = gaze.rows.take(np.tile(np.arange(len(gaze.rows)), times))
+    rows = replace(rows, ids=tuple(map(str, range(len(rows)))))
+    robust = {
+        name: replace(fit, residual_mrad=np.tile(fit.residual_mrad, times))
+        for name, fit in gaze.robust.items()
+    }
+    many = replace(calibration, gaze=replace(gaze, rows=rows, robust=robust))
+    text = render_report(many, context)
+    assert len(text.encode()) < LIMIT_BYTES
+    assert f"of {len(rows)} rows, evenly picked" in text

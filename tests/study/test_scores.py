@@ -1,0 +1,97 @@
+"""Scores and claims. Evidence: made-up records whose scores are known."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from calib.study.claims import judge
+from calib.study.conditions import CONDITIONS, GROUPS, chosen
+from calib.study.scores import Score, score_all
+
+RIGS = 400
+
+
+def records(*, width: float = 1.0, shift: float = 0.0) -> list[dict[str, Any]]:
+    """Records of rigs whose posterior is normal, `width` times too narrow and `shift` off."""
+    rng = np.random.default_rng(0)
+    made = []
+    for number in range(RIGS):
+        miss = rng.standard_normal(2) + shift
+        depth_miss = rng.standard_normal(20)
+        rank = np.array([normal(x * width) for x in np.append(miss, depth_miss)])
+        parameters = {
+            name: {
+                "truth": 3.0, "bound": 2.0, "ideal": 3.0 + 2 * m, "identified_by": "data",
+                "robust": [3.0 + 2 * m, 2.0], "posterior": [3.0 + 2 * m, 2.0 / width, r],
+                "linear": 3.0 + 4 * m,
+            }
+            for name, m, r in zip(("baseline_mm", "delta2_rad"), miss, rank, strict=False)
+        }  # fmt: skip
+        depth = {
+            "rank": list(rank[2:]), "error_rel": list(0.01 * depth_miss),
+            "u_rel": [0.01] * 20, "measure95": [float(abs(m) < 1.96) for m in depth_miss],
+        }  # fmt: skip
+        made.append({
+            "condition": "base-14", "number": number, "selected": "base",
+            "parameters": parameters, "noise_scale": [1.0, 0.0, 0.1, float(rng.random())],
+            "depths": {"inside": depth, "beyond": depth},
+        })  # fmt: skip
+    return made
+
+
+def normal(x: float) -> float:
+    from scipy.stats import norm
+
+    return float(norm.cdf(x))
+
+
+def find(scores: tuple[Score, ...], **wanted: str) -> Score:
+    (one,) = [s for s in scores if all(getattr(s, k) == v for k, v in wanted.items())]
+    return one
+
+
+def test_an_honest_posterior_is_scored_as_one() -> None:
+    """400 rigs: coverage of a parameter is known to 1.1 %, of depth (8000) to 0.25 %."""
+    scores = score_all(records())
+    who = {"subject": "baseline_mm", "estimator": "posterior"}
+    assert find(scores, **who, statistic="pull_rms").value == pytest.approx(1, abs=0.12)
+    assert find(scores, **who, statistic="coverage95").value == pytest.approx(0.95, abs=0.035)
+    assert find(scores, **who, statistic="uniformity_p").value > 0.01
+    depth = {"subject": "depth inside", "estimator": "selected"}
+    for level in (50, 90, 95):
+        coverage = find(scores, **depth, statistic=f"coverage{level}")
+        assert coverage.value == pytest.approx(level / 100, abs=0.02)
+        assert coverage.std_error == pytest.approx(
+            np.sqrt(level / 100 * (1 - level / 100) / 8000), rel=0.2
+        )
+    assert find(scores, subject="model", estimator="base", statistic="share").value == 1
+    linear = find(scores, subject="baseline_mm", estimator="linear", statistic="efficiency")
+    assert linear.value == pytest.approx(0.25)
+    assert linear.std_error == pytest.approx(0, abs=1e-12)
+
+
+@pytest.mark.parametrize(("width", "shift"), [(1.3, 0.0), (0.7, 0.0), (1.0, 0.5)])
+def test_a_dishonest_posterior_is_found_out(width: float, shift: float) -> None:
+    """Negative control: too narrow, too wide, shifted by half a standard deviation."""
+    scores = score_all(records(width=width, shift=shift))
+    p = find(scores, subject="baseline_mm", estimator="posterior", statistic="uniformity_p")
+    assert p.value < 1e-3
+    verdicts = {v.claim: v for v in judge(scores)}
+    pulls = next(v for claim, v in verdicts.items() if claim.startswith("pulls"))
+    assert not pulls.held
+
+
+def test_failed_rigs_are_counted_not_scored() -> None:
+    made = [*records(), {"condition": "base-14", "number": RIGS, "failed": "no answer"}]
+    scores = score_all(made)
+    failed = find(scores, statistic="failed")
+    assert (failed.value, failed.rigs) == (1.0, RIGS)
+
+
+def test_names_of_conditions_stand_for_themselves_and_groups() -> None:
+    assert chosen(("base-14", "default")) == ("base-14", *(
+        name for name in GROUPS["default"] if name != "base-14"))  # fmt: skip
+    assert set(GROUPS["all"]) >= set(CONDITIONS)

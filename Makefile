@@ -42,17 +42,18 @@ test: setup-dev ## tests, under eight minutes on two cores
 test-slow: setup-dev ## statistical studies and long trials
 	$(BIN)/python -m pytest -n 2 --dist worksteal -m slow
 
-lint: setup-dev ## ruff and mypy
+lint: setup-dev ## ruff (security rules among its own), mypy, audit of the packages
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
+	$(BIN)/python tools/audit.py
 
 format: setup-dev ## let ruff format and mend what it can
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
 
 bench: setup-dev ## timings as ratios, side by side in one run
-	$(BIN)/python tools/bench.py
+	OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(BIN)/python tools/bench.py $(ARGS)
 
 lock: setup-dev ## rewrite the lock files from pyproject.toml
 	tools/lock.sh

@@ -41,7 +41,7 @@ install_packages() {
 
 find_python() {
     local p
-    for p in ${PYTHON:-} python3 /usr/bin/python3 python3.13 python3.12 python3.11; do
+    for p in "${PYTHON:-python3}" python3 /usr/bin/python3 python3.13 python3.12 python3.11; do
         if command -v "$p" >/dev/null 2>&1 &&
             "$p" -c 'import sys, venv, ensurepip; sys.exit(sys.version_info < (3, 11))' 2>/dev/null; then
             printf '%s' "$p"
@@ -55,17 +55,21 @@ lock=requirements.lock
 [ "$level" = dev ] && lock=requirements-dev.lock
 stamp=$venv/.ready-$level
 wanted=$(cat "$lock" pyproject.toml tools/setup.sh | sha256sum)
-[ -f "$stamp" ] && [ "$(cat "$stamp")" = "$wanted" ] && [ -x $venv/bin/calib ] && exit 0
+# A virtual environment knows its own path.
+in_place() { [ -x $venv/bin/calib ] && grep -qF "$(pwd -P)/" $venv/bin/calib; }
+[ -f "$stamp" ] && [ "$(cat "$stamp")" = "$wanted" ] && in_place && exit 0
 
 install_packages
-if [ ! -x $venv/bin/python ]; then
+if ! $venv/bin/python -m pip --version >/dev/null 2>&1 || { [ -e $venv/bin/calib ] && ! in_place; }; then
     python=$(find_python) || fail "needs Python 3.11 or newer with venv; on Debian 12: apt-get install python3 python3-venv"
     say "creating $venv with $("$python" --version)"
-    "$python" -m venv $venv
+    "$python" -m venv --clear $venv
 fi
 say "installing the locked packages ($lock)"
-$venv/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes -r "$lock"
-$venv/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
+pip() { $venv/bin/python -m pip install --quiet --disable-pip-version-check "$@"; }
+pip --require-hashes -r "$lock" ||
+    fail "pip could not install them; is there a network, or a proxy to name in PIP_INDEX_URL?"
+pip --no-deps --no-build-isolation -e . || fail "pip could not install calib itself"
 # The dev set contains the runtime set, pinned alike.
 printf '%s' "$wanted" >"$stamp"
 [ "$level" = dev ] && printf '%s' "$(cat requirements.lock pyproject.toml tools/setup.sh | sha256sum)" >$venv/.ready-runtime

@@ -129,7 +129,7 @@ class _Proposal:
 
     def log_density(self, x: FloatArray) -> FloatArray:
         d = len(self.centre)
-        white = np.linalg.solve(self.factor, (x - self.centre).T)
+        white = np.linalg.inv(self.factor) @ (x - self.centre).T
         norm = gammaln((PROPOSAL_DOF + d) / 2) - gammaln(PROPOSAL_DOF / 2)
         norm -= d / 2 * np.log(PROPOSAL_DOF * np.pi) + np.log(np.diag(self.factor)).sum()
         density: FloatArray = norm - (PROPOSAL_DOF + d) / 2 * np.log1p(
@@ -165,7 +165,10 @@ def sample_importance(
         fresh = proposals[-1].draw(DRAWS_PER_ROUND, rng)
         draws = np.concatenate([draws, fresh])
         target = np.concatenate([target, log_density(fresh)])
-        mixture = logsumexp([p.log_density(draws) for p in proposals], axis=0)
+        # Of the mixture only what is new: the last proposal at old draws, all at fresh ones.
+        mixture = np.logaddexp(mixture, proposals[-1].log_density(draws[: len(mixture)]))
+        of_fresh = logsumexp([p.log_density(fresh) for p in proposals], axis=0)
+        mixture = np.concatenate([mixture, of_fresh])
         log_weights = target - mixture
         if not np.isfinite(log_weights).any():
             raise EstimationError("the posterior density is nowhere finite near the robust fit")

@@ -74,11 +74,15 @@ class ViewScores:
         1 on independent noise, more where errors are common to a view: a board that is not quite
         flat, a detector's bias with the light, blur.
         """
-        spread = inverse(self.normals.sum(axis=0))
+        normal = self.normals.sum(axis=0)
+        scale = np.sqrt(np.diag(normal))
+        # Directions that the views leave open hold no score to be judged.
+        spread = np.linalg.pinv(normal / np.outer(scale, scale), hermitian=True)
+        spread = spread / np.outer(scale, scale)
         share = spread @ self.normals
-        expected = self.scores.shape[1] - float(np.einsum("vij,vji->", share, share))
+        expected = float(np.trace(spread @ normal) - np.einsum("vij,vji->", share, share))
         found = float(np.einsum("vi,ij,vj->", self.scores, spread, self.scores))
-        return float(found / (self.variance * expected))
+        return found / (self.variance * expected)
 
 
 def view_scores(

@@ -30,9 +30,13 @@ corner far off bends the pose, and with it the residuals of good corners."""
 VIEW_SHARE_MIN = 0.5
 """A view that loses more than half of its corners as outliers is dropped altogether."""
 
+MAX_STEPS, DONE = 300, 1e-9
+"""When OpenCV's solver stops: its own default of 30 steps falls short, and along the valley of
+nearly equal cost of a rational lens 300 steps reach the rms of 1000 to 7 digits."""
+
 _ROUNDS = 12
 _FLAGS: Mapping[int, int] = MappingProxyType({5: 0, 8: cv2.CALIB_RATIONAL_MODEL})
-_CRITERIA = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 1000, 1e-12)
+_CRITERIA = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, MAX_STEPS, DONE)
 
 
 @dataclass(frozen=True)

@@ -48,7 +48,7 @@ def _positive(text: str) -> int:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the study and return the exit status: 3 if a claim does not hold."""
+    """Run the study and return the exit status: 3 if a claim is clearly broken."""
     from calib.console import Console
     from calib.study.claims import judge, verdict_text
     from calib.study.conditions import chosen
@@ -82,4 +82,4 @@ def run(arguments: argparse.Namespace) -> int:
     lines = [verdict_text(verdict) for verdict in verdicts]
     lines.append("written: " + ", ".join(str(path) for path in written))
     sys.stdout.write("\n".join(lines) + "\n")
-    return DONE if all(verdict.held for verdict in verdicts) else CLAIM_BROKEN
+    return CLAIM_BROKEN if any(verdict.broken for verdict in verdicts) else DONE

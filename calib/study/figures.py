@@ -59,7 +59,7 @@ def _figure(rows: int, columns: int = 1) -> tuple[Figure, list[Axes]]:
 
 
 def coverage(scores: Sequence[Score]) -> Figure | None:
-    """Return how often depth intervals hold the truth, inside the range and beyond."""
+    """Return how often 50, 90 and 95 % depth intervals hold the truth, inside and beyond."""
     depth = [s for s in scores if s.estimator == "selected" and s.statistic.startswith("coverage")]
     if not depth:
         return None
@@ -71,7 +71,7 @@ def coverage(scores: Sequence[Score]) -> Figure | None:
             chosen = [s for s in depth if s.subject == f"depth {part}" and s.statistic == statistic]
             axes.axvline(level, color=colour, lw=0.7, ls=":")
             _points(axes, chosen, rows, colour=colour, shift=0.0)
-        _frame(axes, rows, f"coverage of 50, 90 and 95 % intervals, {part} the range")
+        _frame(axes, rows, f"coverage, depths {part} the range")
         axes.set_xlim(0.2, 1.02)
     return figure
 
@@ -118,7 +118,8 @@ def efficiency(scores: Sequence[Score]) -> Figure | None:
         axes.plot([], [], "o", ms=3, color=colour, label=estimator)
     axes.axvline(1.0, color=INK, lw=0.7)
     _frame(axes, rows, "Cramér-Rao bound / mean square error of L_b")
-    axes.set_xscale("symlog", linthresh=0.1)
+    axes.set_xscale("log")
+    axes.set_xlim(1e-3, 3.0)
     axes.legend(loc="best")
     return figure
 

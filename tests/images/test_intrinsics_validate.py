@@ -76,6 +76,8 @@ def test_the_rule() -> None:
     base = 0.01 * np.exp(rng.normal(0, 0.2, 20))
     alike = base * np.exp(rng.normal(0, 0.05, 20))
     assert select_lens(("five", "eight"), np.stack([base, alike]))[0] == "five"
+    # Certain, but half a per cent of the rms.
+    assert select_lens(("five", "eight"), np.stack([base, 0.99 * base]))[0] == "five"
     better = np.stack([base, 0.7 * alike])
     lens, reason = select_lens(("five", "eight"), better)
     assert lens == "eight"

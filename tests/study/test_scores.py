@@ -73,15 +73,15 @@ def test_an_honest_posterior_is_scored_as_one() -> None:
     assert linear.std_error == pytest.approx(0, abs=1e-12)
 
 
-@pytest.mark.parametrize(("width", "shift"), [(1.3, 0.0), (0.7, 0.0), (1.0, 0.5)])
+@pytest.mark.parametrize(("width", "shift"), [(1.4, 0.0), (0.7, 0.0), (1.0, 0.8)])
 def test_a_dishonest_posterior_is_found_out(width: float, shift: float) -> None:
-    """Negative control: too narrow, too wide, shifted by half a standard deviation."""
+    """Negative control: too narrow, too wide, shifted by 0.8 standard deviations."""
     scores = score_all(records(width=width, shift=shift))
     p = find(scores, subject="baseline_mm", estimator="posterior", statistic="uniformity_p")
     assert p.value < 1e-3
     verdicts = {v.claim: v for v in judge(scores)}
     pulls = next(v for claim, v in verdicts.items() if claim.startswith("pulls"))
-    assert not pulls.held
+    assert pulls.broken
 
 
 def test_failed_rigs_are_counted_not_scored() -> None:

@@ -65,7 +65,7 @@ def draw_coverage(i: Intrinsics, corners: FloatArray) -> Drawing:
     seen.set_title("Corners used; cells without any shaded")
     m = i.uncertainty
     _map(figure, sure, m.pixels, m.std_px, m.covered, "standard deviation / px")
-    sure.set_title("Projection uncertainty; × no corner near")
+    sure.set_title("Projection uncertainty")
     for axes in (seen, sure):
         _imager(axes, i)
     sure.set_ylabel("")
@@ -100,7 +100,7 @@ def draw_difference(i: Intrinsics, difference: LensDifference) -> Drawing:
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = length / d.expected_px
     _map(figure, scaled, d.pixels, ratio, d.covered, "difference / expected", top=3.0)
-    scaled.set_title("Over the stated uncertainty of both")
+    scaled.set_title("Difference over expected")
     for a in (axes, scaled):
         _imager(a, i)
     scaled.set_ylabel("")
@@ -147,13 +147,7 @@ def draw_residuals(i: Intrinsics, corners: FloatArray) -> Drawing:
     )
     arrows.set_title(f"Residuals, {1 / scale:.0f} times enlarged")
     _imager(arrows, i)
-    cloud.plot(*off.T, ".", color=BLUE, ms=2, alpha=0.5, rasterized=True)
-    turn = np.linspace(0, 2 * np.pi, 100)
-    for times in (1, 2):
-        ring = times * i.selected.rms_px
-        cloud.plot(ring * np.cos(turn), ring * np.sin(turn), color=BLACK, lw=0.9, ls="--")
-    cloud.set(aspect="equal", adjustable="datalim", xlabel="du / px", ylabel="dv / px")
-    cloud.set_title("Cloud; rings at 1 and 2 rms")
+    _cloud(cloud, off, i.selected.rms_px)
     return Drawing(
         figure,
         f"Camera {i.name.upper()}: residuals of {len(at)} corners, {i.selected.rms_px:.3f} px root "
@@ -166,6 +160,17 @@ def draw_residuals(i: Intrinsics, corners: FloatArray) -> Drawing:
             "dv_px": off[:, 1],
         },
     )
+
+
+def _cloud(axes: Axes, off: FloatArray, rms_px: float) -> None:
+    """Draw residuals, px, shape (n, 2), as points."""
+    axes.plot(*off.T, ".", color=BLUE, ms=2, alpha=0.5, rasterized=True)
+    turn = np.linspace(0, 2 * np.pi, 100)
+    for times in (1, 2):
+        ring = times * rms_px
+        axes.plot(ring * np.cos(turn), ring * np.sin(turn), color=BLACK, lw=0.9, ls="--")
+    axes.set(aspect="equal", adjustable="datalim", xlabel="du / px", ylabel="dv / px")
+    axes.set_title("Cloud; rings at 1 and 2 rms")
 
 
 @in_house_style

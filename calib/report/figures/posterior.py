@@ -14,6 +14,9 @@ from calib.report.plotting import BLACK, Drawing, in_house_style, look, thinned
 DRAWS = 16_000
 """Draws of the histograms at most: more change no pixel."""
 
+DRAWN = 0.997
+"""Share of the draws that each axis spans: a few far out would shrink all the others."""
+
 LEVELS = (0.393, 0.865)
 """Mass within one and two standard deviations of a normal density in two dimensions."""
 
@@ -31,6 +34,7 @@ def draw_corner(posterior: Posterior) -> Drawing:
     corner.corner(
         draws,
         fig=figure,
+        range=[DRAWN] * len(names),
         labels=labels,
         bins=32,
         smooth=1.2,

@@ -86,19 +86,7 @@ def draw_scatter(
     figure = new_figure(height_in=0.95 + 0.3 * len(sigma_mrad), margins=Margins(left=1.35))
     axes = figure.subplots()
     for y, (name, sigma) in enumerate(sigma_mrad.items()):
-        style = look(name.split("/")[0]) if name.endswith("/robust") else None
-        colour, marker = (GREY, "d") if style is None else (style.colour, style.marker)
-        axes.plot([0, sigma], [y, y], color=LIGHT, lw=5, solid_capstyle="butt")
-        axes.plot(sigma, y, marker, color=colour, ms=7)
-        axes.annotate(
-            f"{sigma:.3g}",
-            (sigma, y),
-            (8, 0),
-            textcoords="offset points",
-            va="center",
-            fontsize=8,
-            bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.8},
-        )
+        _bar(axes, name, sigma, y)
     axes.axvline(reading_mrad, color=BLACK, lw=1.2, label="gaze angle, as stated")
     if step_mrad is not None and abs(step_mrad / reading_mrad - 1) > 0.02:
         axes.axvline(
@@ -117,6 +105,23 @@ def draw_scatter(
         f"Standard deviation of the residuals in mrad: {left}. The gaze angle as stated "
         f"accounts for {reading_mrad:.2g} mrad.",
         {"fit": tuple(sigma_mrad), "sigma_mrad": tuple(sigma_mrad.values())},
+    )
+
+
+def _bar(axes: Axes, name: str, sigma: float, y: int) -> None:
+    """Draw what one fit leaves."""
+    style = look(name.split("/", maxsplit=1)[0]) if name.endswith("/robust") else None
+    colour, marker = (GREY, "d") if style is None else (style.colour, style.marker)
+    axes.plot([0, sigma], [y, y], color=LIGHT, lw=5, solid_capstyle="butt")
+    axes.plot(sigma, y, marker, color=colour, ms=7)
+    axes.annotate(
+        f"{sigma:.3g}",
+        (sigma, y),
+        (8, 0),
+        textcoords="offset points",
+        va="center",
+        fontsize=8,
+        bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.8},
     )
 
 

@@ -13,24 +13,25 @@ from calib.report.numbers import decimals, percent, signed
 from calib.results import Calibration
 from calib.uncertainty.format import fixed
 
+HEADS = (
+    "Model",
+    "Parameters",
+    "LOO ± standard error",
+    "Weight",
+    "AICc",
+    "BIC",
+    "Left-out depth error / %",
+    "Validation depth error / %",
+    "Largest Pareto k",
+    "Rows refitted",
+)
+
 
 def comparison(c: Calibration, _: ReportContext) -> Section | None:
     """Write the comparison of models."""
     if c.gaze is None or c.gaze.comparison is None:
         return None
     found = c.gaze.comparison
-    heads = (
-        "Model",
-        "Parameters",
-        "LOO ± standard error",
-        "Weight",
-        "AICc",
-        "BIC",
-        "Left-out depth error / %",
-        "Validation depth error / %",
-        "Largest Pareto k",
-        "Rows refitted",
-    )
     rows = [_row(score, chosen=score.model == found.selected) for score in found.scores]
     blocks: list[Block] = [
         Paragraph(
@@ -43,7 +44,7 @@ def comparison(c: Calibration, _: ReportContext) -> Section | None:
         ),
         table(
             "Models side by side",
-            heads,
+            HEADS,
             rows,
             note="LOO is the expected log density of the encoder's reading of a row that the fit "
             "has not seen, summed over rows: higher is better. AICc and BIC: lower is better; no "

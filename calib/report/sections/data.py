@@ -142,7 +142,7 @@ def _columns(rows: Observations) -> dict[str, Callable[[int], Cell]]:
         columns["gaze residual / mrad"] = lambda i: (
             decimals(1e3 * rows.gaze_residual_rad[i], 2) if seen[i] else EMPTY
         )
-    columns["z reference ± u / mm"] = lambda i: estimate(rows.z_mm[i], _u_depth(rows, i))
+    columns["z reference ± u / mm"] = lambda i: estimate(rows.z_mm[i], _u_depth(rows, i))
     return columns
 
 

@@ -37,8 +37,9 @@ def _method(calibrated: CalibratedInstrument) -> Markup:
     widened = ""
     if calibrated.noise_factor > 1.005:
         widened = (
-            f" The residuals showed the stated uncertainties of a reading to be too small; they "
-            f"were widened by the factor {calibrated.noise_factor:.2f}."
+            " As the rows do not exclude that the stated uncertainties of a reading are too small, "
+            f"these were widened by the factor {calibrated.noise_factor:.2f}, the root mean square "
+            "of the noise scale where it is above 1."
         )
     return Markup(
         "The interval comes from draws of the posterior of <em>{}</em>, each with an error of the "

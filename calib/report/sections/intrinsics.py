@@ -74,9 +74,9 @@ def _camera(i: Intrinsics, corners: FloatArray) -> list[Block]:
         picture(
             f"coverage-{i.name}",
             draw_coverage(i, used),
-            f"{name}: where corners were, and the standard deviation of where a ray is projected. "
-            "Empty corners of the imager are extrapolated by the lens model; uncertainty that "
-            "grows steeply towards an edge asks for boards there.",
+            f"{name}: where corners were, and the standard deviation of where a ray is projected "
+            "(× where no corner is near). Empty corners of the imager are extrapolated by the lens "
+            "model; uncertainty that grows steeply towards an edge asks for boards there.",
         ),
         picture(
             f"residuals-{i.name}",

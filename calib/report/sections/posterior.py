@@ -69,13 +69,13 @@ def _table(p: Posterior) -> Table:
     heads = (
         "Parameter",
         "Unit",
-        "Mean ± u",
+        "Mean ± u",
         "95 % interval",
         "Autocorrelation time / steps",
         "Effective draws, bulk",
         "Effective draws, tails",
         "R-hat",
-        "Mean ± u by importance sampling",
+        "Mean ± u by importance sampling",
     )
     return table(
         Markup("Convergence of <em>{}</em>").format(p.model),

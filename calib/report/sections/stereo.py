@@ -24,7 +24,7 @@ from calib.report.blocks import (
 )
 from calib.report.context import ReportContext
 from calib.report.figures.stereo import draw_pairs, draw_targets
-from calib.report.numbers import decimals, estimate, plus_minus
+from calib.report.numbers import decimals, digits, estimate, plus_minus
 from calib.report.plotting import picture
 from calib.report.sections.pick import shown_rows
 from calib.results import Calibration
@@ -115,9 +115,16 @@ def _solves(s: StereoReference) -> Table:
     rows += [
         [words("rms / px"), *(decimals(solve.rms_px, 3) for solve in s.solves)],
         [words("Corners rejected"), *(number(str(v.rejected), v.rejected) for v in s.solves)],
+        [words("u widened by the factor"), *(digits(v.dispersion**0.5) for v in s.solves)],
     ]
     heads = ["", f"{names[0]} (used)", *names[1:]]
-    return table("Pose of C2 in C1 by each backend, ± standard uncertainty", heads, rows)
+    return table(
+        "Pose of C2 in C1 by each backend, ± standard uncertainty",
+        heads,
+        rows,
+        note="u is widened where the pairs disagree with each other beyond the noise of their "
+        "corners.",
+    )
 
 
 def _targets(s: StereoReference) -> Table:

@@ -68,7 +68,7 @@ def _measured(s: SweepResult) -> Table:
         )
         for name, value, u in zip(s.names, s.mean, std, strict=True)
     ]
-    return table("What the sweep measures", ("Symbol", "Meaning", "Estimate ± u", "Unit"), rows)
+    return table("What the sweep measures", ("Symbol", "Meaning", "Estimate ± u", "Unit"), rows)
 
 
 def _facts(s: SweepResult) -> tuple[tuple[Text, Text], ...]:

@@ -131,7 +131,7 @@ def _lengths(evidence: Evidence | None) -> list[Block]:
         )
         for e in evidence.lengths
     ]
-    heads = ("Length", "reference / mm", "measured ± u / mm", "error / mm", "U of the error / mm")
+    heads = ("Length", "reference / mm", "measured ± u / mm", "error / mm", "U of the error / mm")
     limit = evidence.length_limit
     told = LENGTHS_NOTE
     if limit is not None:
@@ -148,7 +148,7 @@ def _beyond(error: LengthError) -> str:
 
 def _rows(v: ValidationResult, names: Mapping[str, str]) -> Table:
     picked, note = shown_rows(len(v.ids))
-    heads = ["Row", "Group", "x / mm", "y / mm", "z measured ± u / mm", "95 % interval of z / mm"]
+    heads = ["Row", "Group", "x / mm", "y / mm", "z measured ± u / mm", "95 % interval of z / mm"]
     for e in v.errors:
         name = names.get(e.name, e.name)
         heads += [f"{name} / mm", f"error against {name} / %"]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from markupsafe import Markup
 
+from calib.images.result import ImageResult
 from calib.report.blocks import (
     Block,
     Command,
@@ -29,6 +30,8 @@ def verdict(c: Calibration, context: ReportContext) -> Section:
     blocks: list[Block] = [_banner(c), *_failures(c)]
     if c.gaze is not None:
         blocks += _gaze(c.gaze, context)
+    else:
+        blocks += _rig(c.images)
     if c.warnings:
         blocks += [
             Paragraph(Markup("<strong>To bear in mind</strong>")),
@@ -51,17 +54,30 @@ def _banner(c: Calibration) -> Notice:
             "Do not use this calibration before they are mended. What follows is written down to "
             "help with that.",
         )
-    return Notice(
-        "good",
-        f"All {len(c.gates)} checks passed",
-        "The calibration may be used within the depths and the uncertainties stated here.",
-    )
+    if c.gaze is None:
+        scope = "The dataset has no gaze rows: cameras and rig are calibrated as far as it goes."
+    else:
+        scope = "The calibration may be used within the depths and the uncertainties stated here."
+    return Notice("good", f"All {len(c.gates)} checks passed", scope)
 
 
 def _failures(c: Calibration) -> list[Block]:
     return [
         Notice("bad", f"Failed: {gate.name}", gate.detail) for gate in c.gates if not gate.passed
     ]
+
+
+def _rig(images: ImageResult) -> list[Block]:
+    """Return the first figures of a dataset without gaze rows."""
+    tiles: list[tuple[Text, Text, Text]] = []
+    for name, found in sorted(images.intrinsics.items()):
+        f, u = float(found.camera.matrix[0, 0]), float(np.sqrt(found.covariance[0, 0]))
+        told = (f"fx of {name.upper()}", f"{plus_minus(f, u)} px", f"by {found.selected.backend}")
+        tiles.append(told)
+    if images.stereo is not None:
+        distance = plus_minus(images.stereo.baseline_mm, images.stereo.baseline_std_mm)
+        tiles.append(("C1 to C2", f"{distance} mm", "distance of the optical centres"))
+    return [Tiles(tuple(tiles))] if tiles else []
 
 
 def _gaze(gaze: GazeResult, context: ReportContext) -> list[Block]:

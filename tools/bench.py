@@ -1,0 +1,230 @@
+#!/usr/bin/env python3
+"""Timings as ratios, side by side in one run: what the program adds, and what its methods gain.
+
+Usage: tools/bench.py [NAME...]   (all of them without a name)
+
+CPU seconds; `make bench` sees to it that BLAS takes one thread. On a machine that does other
+things too, compare ratios within one run only; they are good to some 15 %.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import tempfile
+import time
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from statistics import median
+
+import cv2
+import emcee
+import numpy as np
+from numpy.random import SeedSequence
+
+from calib.dataset.load import load_dataset
+from calib.fit import posterior as chains
+from calib.fit.density import LogPosterior, log_posterior
+from calib.fit.importance import sample_importance
+from calib.fit.posterior import laplace, sample_posterior
+from calib.fit.priors import Priors
+from calib.fit.robust import fit_model
+from calib.geometry.parameters import MODELS, vector
+from calib.geometry.plane import OBSERVABLE, gaze_at
+from calib.images.detect_board import find_chessboard
+from calib.images.types import Board
+from calib.observations import Observations
+from calib.pipeline import Options, calibrate
+
+PROJECT = Path(__file__).resolve().parents[1]
+REPEATS = 5
+GOAL_DRAWS = 4000.0
+
+
+@dataclass(frozen=True)
+class Line:
+    """One figure, beside what it is to reach."""
+
+    what: str
+    figure: str
+    wanted: str
+
+
+def cpu(work: Callable[[], object], repeats: int = REPEATS) -> float:
+    """Return the median CPU time, s, of some work."""
+    times = []
+    for _ in range(repeats):
+        started = time.process_time()
+        work()
+        times.append(time.process_time() - started)
+    return median(times)
+
+
+def rows_of(count: int) -> Observations:
+    """Return rows of a rig with noise as stated."""
+    rng = np.random.default_rng(1)
+    theta = vector({"baseline_mm": 120.0, "delta2_rad": 0.01, "axis_z_mm": -20.0})
+    z = rng.uniform(400, 2500, count)
+    x, y = rng.uniform(-0.3, 0.3, (2, count))
+    gaze = gaze_at(theta, np.stack([x * z, y * z, z], axis=1))
+    std = np.zeros((count, 5))
+    std[:, OBSERVABLE.x1c] = 2e-4
+    std[:, OBSERVABLE.alpha2] = 2.8e-4
+    std[:, OBSERVABLE.z] = 0.002 * z
+    error = std * rng.standard_normal((count, 5))
+    names = tuple(f"r{i}" for i in range(count))
+    return Observations(
+        ids=names,
+        groups=names,
+        x1c=gaze.x1c + error[:, OBSERVABLE.x1c],
+        y1c=gaze.y1c,
+        alpha2_rad=gaze.alpha2 + error[:, OBSERVABLE.alpha2],
+        gaze_residual_rad=np.zeros(count),
+        z_mm=z + error[:, OBSERVABLE.z],
+        std=std,
+    )
+
+
+def robust() -> list[Line]:
+    """Time the robust fit of a million rows."""
+    rows = rows_of(1_000_000)
+    seconds = cpu(lambda: fit_model(rows, Priors({}), model="axis-offset"), 1)
+    return [Line("robust fit of 1,000,000 rows", f"{seconds:.1f} s", "1.5 s")]
+
+
+def lmfit_seconds_per_draw(target: LogPosterior, centre: np.ndarray, steps: int) -> float:
+    """Return CPU seconds an effective draw that lmfit.emcee takes on the same density."""
+    import lmfit
+
+    names = [f"p{i}" for i in range(len(centre))]
+    parameters = lmfit.Parameters()
+    for name, value in zip(names, centre, strict=True):
+        parameters.add(name, value=float(value))
+
+    def density(p: lmfit.Parameters) -> float:
+        return float(target(np.array([[p[name].value for name in names]]))[0])
+
+    rng = np.random.default_rng(0)
+    start = centre + 1e-2 * np.abs(centre) * rng.standard_normal((32, len(centre)))
+    started = time.process_time()
+    fit = lmfit.Minimizer(density, parameters, nan_policy="omit").emcee(
+        steps=steps, nwalkers=32, pos=start, progress=False, seed=1, float_behavior="posterior"
+    )
+    seconds = time.process_time() - started
+    tau = emcee.autocorr.integrated_time(fit.sampler.get_chain(), tol=0)
+    return seconds / (steps * 32 / float(tau.max()))
+
+
+def posterior() -> list[Line]:
+    """Compare the samplers by CPU time to as many effective draws."""
+    lines = []
+    for count, steps in ((6, 1500), (100, 1500)):
+        rows = rows_of(count)
+        fit = fit_model(rows, Priors({}), model="axis-offset")
+        target = log_posterior(rows, MODELS[fit.model], Priors({}), fit.theta)
+        centre, covariance = laplace(fit, target)
+        started = time.process_time()
+        result = sample_posterior(rows, fit, Priors({}), seed=SeedSequence(0))
+        chain = (time.process_time() - started) / result.ess_bulk.min()
+        rng = np.random.default_rng(0)
+        quick = cpu(lambda: sample_importance(target, centre, covariance, rng))  # noqa: B023
+        sample = sample_importance(target, centre, covariance, rng)
+        peer = lmfit_seconds_per_draw(target, centre, steps)
+        n = f"N = {count}"
+        lines += [
+            Line(f"{n}: emcee here, CPU s to 4,000 draws", f"{chain * GOAL_DRAWS:.2f}", ""),
+            Line(f"{n}: lmfit.emcee over emcee here", f"{peer / chain:.0f} x", "8 x"),
+            Line(f"{n}: lmfit.emcee over importance sampling",
+                 f"{peer / (quick / sample.ess):.0f} x", "1000 x"),
+        ]  # fmt: skip
+    return lines
+
+
+def detection() -> list[Line]:
+    """Compare board detection with a bare script of the same two OpenCV calls."""
+    lines = []
+    board = Board("chessboard", columns=9, rows=7, square_mm=25.0, target=(4, 3))
+    for width, height in ((720, 576), (1280, 960), (4000, 3000)):
+        image = _board_picture(width, height)
+
+        def bare(image: np.ndarray = image) -> None:
+            _, corners = cv2.findChessboardCorners(image, (9, 7))
+            criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 40, 1e-3)
+            cv2.cornerSubPix(image, corners, (11, 11), (-1, -1), criteria)
+
+        ours, theirs = (cpu(lambda: find_chessboard(image, board)), cpu(bare))  # noqa: B023
+        wanted = "12 ms" if width > 2000 else "5 ms"
+        lines.append(
+            Line(f"board in {width} x {height}: bare script takes {1e3 * theirs:.0f} ms, here",
+                 f"{1e3 * ours:.1f} ms", wanted)
+        )  # fmt: skip
+    return lines
+
+
+def _board_picture(width: int, height: int) -> np.ndarray:
+    """Return a clean picture of a 10 x 8 squares board, slightly turned."""
+    square = 40
+    flat = np.kron(np.indices((8, 10)).sum(axis=0) % 2, np.ones((square, square))) * 200 + 30
+    flat = np.pad(flat, square, constant_values=230).astype(np.uint8)
+    h, w = flat.shape
+    corners = np.float32([[0, 0], [w, 0], [w, h], [0, h]])
+    place = np.float32([[0.15, 0.12], [0.86, 0.18], [0.82, 0.88], [0.12, 0.8]])
+    turn = cv2.getPerspectiveTransform(corners, place * np.float32([width, height]))
+    warped = cv2.warpPerspective(flat, turn, (width, height), borderValue=230)
+    return cv2.GaussianBlur(warped, (0, 0), 0.7)
+
+
+def pipeline() -> list[Line]:
+    """Compare a whole run on tables with the calls that it cannot do without."""
+    dataset = load_dataset(PROJECT / "datasets" / "xu-wang-2017")
+    whole, needed = [], []
+    for _ in range(REPEATS):
+        with tempfile.TemporaryDirectory() as folder:
+            started = time.process_time()
+            run = calibrate(
+                dataset,
+                Path(folder),
+                Options(),
+                announce=lambda _: None,
+                progress=lambda *_: None,
+                command="bench",
+            )
+            whole.append(time.process_time() - started)
+        gaze = run.calibration.gaze
+        if gaze is None:
+            raise ValueError("the dataset has gaze rows")
+        started = time.process_time()
+        for name, fit in gaze.robust.items():
+            fit_model(gaze.rows, Priors({}), model=name)
+            sample_posterior(gaze.rows, fit, Priors({}), seed=SeedSequence(0))
+        needed.append(time.process_time() - started)
+    return [
+        Line("run on 6 rows, CPU s", f"{median(whole):.1f}", ""),
+        Line("of it the fits and chains", f"{median(needed):.1f}", ""),
+        Line("ratio", f"{median(w / n for w, n in zip(whole, needed, strict=True)):.2f}", "1.15"),
+    ]
+
+
+PARTS = {"robust": robust, "posterior": posterior, "detection": detection, "pipeline": pipeline}
+
+
+def main(names: list[str]) -> int:
+    """Print the figures asked for."""
+    unknown = set(names) - set(PARTS)
+    if unknown:
+        print(f"bench: no part {', '.join(sorted(unknown))}; there are {', '.join(PARTS)}")
+        return 2
+    warnings.simplefilter("ignore")
+    print(json.dumps({"cpus": os.cpu_count(), "ensembles": chains.ENSEMBLES}))
+    for name in names or PARTS:
+        for line in PARTS[name]():
+            wanted = f"(to reach: {line.wanted})" if line.wanted else ""
+            print(f"{line.what:56s} {line.figure:>10s}  {wanted}", flush=True)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -28,7 +28,7 @@ from calib.observe import (
 from calib.outputs import write_outputs
 from calib.results import Calibration, GazeResult
 from calib.store import Staged, Store, given
-from calib.verdict import all_gates, all_warnings
+from calib.verdict import all_gates, all_warnings, disagreements
 
 
 @dataclass(frozen=True)
@@ -96,6 +96,7 @@ def calibrate(
             gaze=gaze,
             gates=all_gates(result, gaze, failures),
             warnings=(*dataset.warnings, *all_warnings(result, gaze)),
+            disagreements=() if gaze is None else disagreements(gaze),
         )
         written = write_outputs(
             calibration, dataset, store, fingerprint=fingerprint, command=command

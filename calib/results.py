@@ -91,6 +91,9 @@ class Calibration:
         What must hold before the result may be used.
     warnings
         What the reader should know and no gate covers.
+    disagreements
+        References that contradict the measured depths: no fault of the calibration alone, and
+        more than its reader may overlook.
     """
 
     name: str
@@ -102,6 +105,7 @@ class Calibration:
     gaze: GazeResult | None
     gates: tuple[Gate, ...]
     warnings: tuple[str, ...]
+    disagreements: tuple[str, ...] = ()
 
     @property
     def passed(self) -> bool:
@@ -126,7 +130,7 @@ def _document(c: Calibration) -> dict[str, Any]:
     if c.gaze is not None:
         document |= _gaze(c.gaze)
     document["gates"] = [vars(gate) for gate in c.gates]
-    document["warnings"] = list(c.warnings)
+    document["warnings"] = [*c.disagreements, *c.warnings]
     cleaned: dict[str, Any] = _clean(document)
     return cleaned
 

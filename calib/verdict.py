@@ -9,11 +9,11 @@ import numpy as np
 from calib.fit.posterior import ESS_GOAL, R_HAT_LIMIT, Posterior
 from calib.fit.priors import NOISE_SCALE
 from calib.gates import Gate
+from calib.geometry.parameters import INDEX, PARAMETERS
 from calib.images.result import ImageResult
 from calib.instrument import (
     CalibratedInstrument,
     DepthTable,
-    ValidationResult,
     normalised_error,
 )
 from calib.results import GazeResult
@@ -164,7 +164,8 @@ def gaze_warnings(gaze: GazeResult) -> tuple[str, ...]:
                 f"({NOISE_SCALE})"
             )
         found += [
-            f"{name} is decided by its prior, not by the rows"
+            f"{name} ({PARAMETERS[INDEX[name]].meaning}) is decided by prior knowledge, not by "
+            "the rows"
             for name, who in zip(fit.names, fit.identified_by, strict=True)
             if who == "prior"
         ]
@@ -184,16 +185,17 @@ def gaze_warnings(gaze: GazeResult) -> tuple[str, ...]:
         found.append(
             f"base/convex is not proved optimal: duality gap {gaze.convex.duality_gap:.1e}"
         )
-    if gaze.validation is not None:
-        found += _disagreements(gaze.validation)
     return tuple(found)
 
 
-def _disagreements(validation: ValidationResult) -> list[str]:
+def disagreements(gaze: GazeResult) -> tuple[str, ...]:
     """Return a warning for each reference that the measured depths contradict.
 
     Rows that borrow their depth from one row are one measurement.
     """
+    validation = gaze.validation
+    if validation is None:
+        return ()
     p, found = validation.prediction, []
     first = np.unique(validation.depth_of, return_index=True)[1]
     for error in validation.errors:
@@ -207,4 +209,4 @@ def _disagreements(validation: ValidationResult) -> list[str]:
                 "validation reference contradict each other. The uncertainties stated are against "
                 "the reference used to calibrate"
             )
-    return found
+    return tuple(found)

@@ -32,10 +32,10 @@ def verdict(c: Calibration, context: ReportContext) -> Section:
         blocks += _gaze(c.gaze, context)
     else:
         blocks += _rig(c.images)
-    if c.warnings:
+    if c.disagreements or c.warnings:
         blocks += [
             Paragraph(Markup("<strong>To bear in mind</strong>")),
-            Items(tuple(c.warnings)),
+            Items((*c.disagreements, *c.warnings)),
         ]
     if c.gaze is not None and c.gaze.calibrated is not None:
         blocks += _use(c.gaze)
@@ -53,6 +53,13 @@ def _banner(c: Calibration) -> Notice:
             f"{failed} of {len(c.gates)} checks failed",
             "Do not use this calibration before they are mended. What follows is written down to "
             "help with that.",
+        )
+    if c.disagreements:
+        return Notice(
+            "note",
+            f"All {len(c.gates)} checks passed, but an independent reference contradicts",
+            "The uncertainties stated hold against the reference that was used to calibrate. See "
+            "the validation before you rely on absolute depths.",
         )
     if c.gaze is None:
         scope = "The dataset has no gaze rows: cameras and rig are calibrated as far as it goes."

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 from calib import __version__
 from calib.errors import CalibError, UsageError
 from calib.plan import command as plan_command
+from calib.runs import command as compare_command
 from calib.study import command as study_command
 
 if TYPE_CHECKING:
@@ -81,9 +82,8 @@ def _parser() -> argparse.ArgumentParser:
     add.set_defaults(run=_simulate)
 
     add = commands.add_parser("compare", help="runs of one rig side by side: what has changed")
-    add.add_argument("runs", type=Path, nargs="+", metavar="RUN", help="folder of a run")
-    add.add_argument("--out", type=Path, metavar="HTML", help="write a page too")
-    add.set_defaults(run=_compare)
+    compare_command.add_arguments(add)
+    add.set_defaults(run=compare_command.run)
 
     add = commands.add_parser("plan", help="where to put the next targets")
     plan_command.add_arguments(add)
@@ -226,18 +226,6 @@ def _simulate(arguments: argparse.Namespace) -> int:
     finally:
         console.close()
     print(f"{arguments.out}: written, with its truth in truth.json")
-    return DONE
-
-
-def _compare(arguments: argparse.Namespace) -> int:
-    from calib.drift import compare_runs
-    from calib.report.drift_page import drift_page, drift_text
-    from calib.store import write_bytes
-
-    drift = compare_runs(arguments.runs)
-    print(drift_text(drift))
-    if arguments.out is not None:
-        write_bytes(arguments.out, drift_page(drift).encode())
     return DONE
 
 

@@ -16,7 +16,6 @@ from calib.errors import InputError
 from calib.geometry.camera import Camera
 from calib.geometry.parameters import NAMES
 from calib.observe import CameraSet, RowSettings, Setup, Shared
-from calib.results import FORMAT
 from calib.uncertainty.measurement import (
     Instrument,
     ParameterKnowledge,
@@ -24,6 +23,9 @@ from calib.uncertainty.measurement import (
     SharedErrors,
     Spread,
 )
+
+FORMAT = 1
+"""Of calibration.json; it changes only if old files can no longer be read."""
 
 FILE_LIMIT_BYTES = 200_000_000
 """A calibration of 100,000 rows takes a tenth of it."""

@@ -12,6 +12,7 @@ import numpy as np
 
 from calib import __version__
 from calib.arrays import FloatArray
+from calib.calibration_file import FORMAT
 from calib.certificate.inputs import Evidence
 from calib.fit.compare import Comparison, ModelScore
 from calib.fit.convex import ConvexFit
@@ -26,8 +27,6 @@ from calib.observations import Observations
 from calib.results_images import images_document
 from calib.uncertainty.measurement import Instrument, Spread
 from calib.uncertainty.montecarlo import NORMAL_FACTOR
-
-FORMAT = 1
 
 DIGITS = 12
 """Significant digits of the numbers in calibration.json: beyond them lies only rounding."""

@@ -9,6 +9,8 @@ things too, compare ratios within one run only; they are good to some 15 %.
 
 from __future__ import annotations
 
+import contextlib
+import io
 import json
 import os
 import sys
@@ -110,11 +112,13 @@ def lmfit_seconds_per_draw(target: LogPosterior, centre: np.ndarray, steps: int)
     rng = np.random.default_rng(0)
     start = centre + 1e-2 * np.abs(centre) * rng.standard_normal((32, len(centre)))
     started = time.process_time()
-    fit = lmfit.Minimizer(density, parameters, nan_policy="omit").emcee(
-        steps=steps, nwalkers=32, pos=start, progress=False, seed=1, float_behavior="posterior"
-    )
+    peer = lmfit.Minimizer(density, parameters, nan_policy="omit")
+    with contextlib.redirect_stdout(io.StringIO()):  # it advises longer chains
+        peer.emcee(
+            steps=steps, nwalkers=32, pos=start, progress=False, seed=1, float_behavior="posterior"
+        )
     seconds = time.process_time() - started
-    tau = emcee.autocorr.integrated_time(fit.sampler.get_chain(), tol=0)
+    tau = emcee.autocorr.integrated_time(peer.sampler.get_chain(), tol=0)
     return seconds / (steps * 32 / float(tau.max()))
 
 

@@ -127,9 +127,7 @@ def read_pictures(deb: Path) -> Mapping[tuple[str, int], bytes]:
         )
     pictures: dict[tuple[str, int], bytes] = {}
     command = [unpack, "--fsys-tarfile", str(deb)]
-    with subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
-    ) as process:
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as process:
         try:
             with tarfile.open(fileobj=process.stdout, mode="r|") as archive:
                 for member in archive:

@@ -300,7 +300,7 @@ def _loo(
         part = np.arange(start, min(start + step, len(rows)))
         density = target.only(part).pointwise(draws).T
         # A draw's weight once the row is left out: its own over what the row gave it.
-        log_weights, pareto_k[part] = array_stats.psislw(
+        log_weights, pareto_k[part] = _smoothed(
             target.power[part, None] * density - log_prior_weights
         )
         log_weights -= logsumexp(log_weights, axis=1, keepdims=True)
@@ -319,6 +319,18 @@ def _loo(
         if not reliable:
             unreliable.append(int(i))
     return _Loo(pointwise, pareto_k, tuple(refitted), tuple(unreliable))
+
+
+def _smoothed(log_ratios: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return Pareto-smoothed log weights, shape (n, m), and k-hat, shape (n,), of log ratios.
+
+    A row that no draw depends on, having been set aside, has no tail to smooth: its k-hat is 0.
+    """
+    log_weights, k_hat = -log_ratios, np.zeros(len(log_ratios))
+    varied = np.ptp(log_ratios, axis=1) > 0
+    if varied.any():
+        log_weights[varied], k_hat[varied] = array_stats.psislw(log_ratios[varied])
+    return log_weights, k_hat
 
 
 def _of_chain(posterior: Posterior, fit: RobustFit) -> _Draws:

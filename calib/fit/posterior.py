@@ -219,13 +219,16 @@ def _run(
 
 
 def _sampler(target: LogPosterior, walkers: int) -> emcee.EnsembleSampler:
-    return emcee.EnsembleSampler(
+    sampler = emcee.EnsembleSampler(
         walkers,
         target.dimensions,
         target,
         vectorize=True,
         moves=[(emcee.moves.DEMove(), 0.9), (emcee.moves.DEMove(gamma0=1.0), 0.1)],
     )
+    # emcee wraps the function to print a traceback of whatever comes out of it, Ctrl-C too.
+    sampler.log_prob_fn = target
+    return sampler
 
 
 def _tau(chain: FloatArray) -> FloatArray:

@@ -8,7 +8,7 @@ import numpy as np
 
 from calib.errors import EstimationError
 from calib.fit.noise import log_density, row_noise
-from calib.fit.start import SCALE_GRID, find_start
+from calib.fit.start import SCALE_GRID, find_start, some_rows
 from calib.gates import Gate
 from calib.geometry.parameters import INDEX
 from calib.geometry.plane import closure_value
@@ -40,7 +40,7 @@ def check_sense(rows: Observations) -> Gate:
     rows far better, or only it with a baseline above 0, its sign is wrong; if a baseline below 0
     explains them, C1 and C2 are swapped or the images mirrored.
     """
-    name = "sense"
+    name, rows = "sense", some_rows(rows)
     mirrored = replace(
         rows, alpha2_rad=np.pi - rows.alpha2_rad, gaze_residual_rad=-rows.gaze_residual_rad
     )

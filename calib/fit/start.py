@@ -29,6 +29,13 @@ SCALE_GRID = np.linspace(-3.0, 6.0, 91)
 """Logarithms of the noise scales among which a start's likelihood is maximised."""
 
 
+def some_rows(rows: Observations) -> Observations:
+    """Return `SEARCH_ROWS` rows of a longer table, evenly from all of it."""
+    if len(rows) <= SEARCH_ROWS:
+        return rows
+    return rows.take(np.linspace(0, len(rows) - 1, SEARCH_ROWS).astype(np.int64))
+
+
 def first_guess(rows: Observations) -> FloatArray:
     """Return a parameter vector good enough to weight rows: the paper's law, median baseline."""
     cot = 1 / np.tan(rows.alpha2_rad + rows.gaze_residual_rad)
@@ -80,8 +87,7 @@ def find_start(rows: Observations, *, axis_z: bool) -> FloatArray:
     EstimationError
         If the rows do not determine baseline and encoder zero.
     """
-    if len(rows) > SEARCH_ROWS:
-        rows = rows.take(np.linspace(0, len(rows) - 1, SEARCH_ROWS).astype(np.int64))
+    rows = some_rows(rows)
     sigma = row_noise(first_guess(rows), rows).sigma
     plain = fit_bilinear(rows, 1 / sigma, axis_z=axis_z)
     starts = [plain]

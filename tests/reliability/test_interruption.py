@@ -89,7 +89,7 @@ def interrupt(
     expected = {signal.SIGKILL: -signal.SIGKILL}.get(how, 130)
     assert status in (expected, 0), said
     if how != signal.SIGKILL:
-        assert not any("Traceback" in line for line in said)
+        assert not any("Traceback" in line for line in said), "\n".join(said)
         assert not list(out.rglob(f"*{PARTIAL}")), "it tidies up behind itself"
     assert_whole(out)
     finished = {p.stem.replace("--", "/") for p in (out / ".stages").glob("*.h5")}

@@ -89,7 +89,7 @@ def image_stages(dataset: Dataset, store: Store, seed: int) -> ImageStages:
         asked = given(f"pictures {camera}", pictures)
         corners[camera] = store.stage(
             f"corners {camera}", f"{STAGES}:find_corners",
-            folder, asked, board, given("known corners", Known(known)),
+            folder, asked, board, given("known corners", Known(known)), detector=_detector(dataset),
         )  # fmt: skip
         sheets[camera] = store.stage(
             f"contact sheet {camera}", f"{STAGES}:contact_sheet", folder, asked, corners[camera]
@@ -149,6 +149,11 @@ def _pictures(dataset: Dataset, camera: str) -> Pictures | None:
         "" if name in dataset.corner_cache else _hash(dataset.root / name) for name in names
     )
     return Pictures(camera, names, hashes, size)
+
+
+def _detector(dataset: Dataset) -> str:
+    board = dataset.manifest.board
+    return "cascade" if board is None else board.detector
 
 
 def _named(dataset: Dataset, camera: str) -> Iterator[str]:

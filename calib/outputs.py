@@ -14,6 +14,7 @@ from calib.certificate.assemble import assemble
 from calib.certificate.forms import render_forms
 from calib.certificate.inputs import new_issue
 from calib.dataset.contents import Dataset
+from calib.images.detect_cache import write_cache
 from calib.images.model_files import cameramodel_text, opencv_text
 from calib.ledger import LEDGER, ledger_text
 from calib.provenance import Provenance, provenance
@@ -59,7 +60,11 @@ def _results(calibration: Calibration) -> dict[str, bytes]:
     }
     for name, found in calibration.images.intrinsics.items():
         files[f"{name}.yaml"] = opencv_text(found.camera).encode()
-        files[f"{name}.cameramodel"] = cameramodel_text(found.camera).encode()
+        # mrcal's own file holds its solve too, from which mrcal-tools tell uncertainties.
+        own = found.model_files.get(found.selected.lens_model)
+        files[f"{name}.cameramodel"] = (own or cameramodel_text(found.camera)).encode()
+    if calibration.images.corners:
+        files["corners.vnl"] = write_cache(list(calibration.images.corners.values())).encode()
     return files
 
 

@@ -42,6 +42,14 @@ om = (0.00669, 0.00452, -0.00350) +- (0.0027, 0.0031, 0.0003) rad,
 left f 533.5, principal point (341.6, 235.2) px; right f 536.8 and 536.5, (326.3, 250.1) px.
 """
 
+[published]                 # value and standard uncertainty; his +- are three of them
+"c1_in_c2.rotation_x_rad" = [0.00669, 0.0009]
+"c1_in_c2.rotation_y_rad" = [0.00452, 0.00103]
+"c1_in_c2.rotation_z_rad" = [-0.00350, 0.0001]
+"c1_in_c2.translation_x_mm" = [-99.80, 0.0467]
+"c1_in_c2.translation_y_mm" = [1.12, 0.0367]
+"c1_in_c2.translation_z_mm" = [0.05, 0.167]
+
 [board]
 type = "chessboard"
 columns = 9

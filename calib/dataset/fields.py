@@ -195,4 +195,23 @@ def _angles_in_rad(priors: Mapping[str, Prior]) -> Mapping[str, Prior]:
     return priors
 
 
+PUBLISHED = (
+    *(f"{camera}.{name}" for camera in ("c1", "c2") for name in ("fx", "fy", "cx", "cy")),
+    *(f"c1_in_c2.rotation_{axis}_rad" for axis in "xyz"),
+    *(f"c1_in_c2.translation_{axis}_mm" for axis in "xyz"),
+)
+"""Quantities whose published values a report can be held against: [value, standard uncertainty].
+
+C1 in C2 is the pose that stereo toolboxes print: P2 = R P1 + t.
+"""
+
+
+def _published_name(name: str) -> str:
+    if name not in PUBLISHED:
+        refuse(f"unknown quantity {shown(name)}", suggestion(name, PUBLISHED))
+    return name
+
+
+Published = Mapping[Annotated[str, AfterValidator(_published_name)], Prior]
+
 Priors = Annotated[Mapping[ParameterName, Prior], AfterValidator(_angles_in_rad)]

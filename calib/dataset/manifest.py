@@ -28,6 +28,7 @@ from calib.dataset.fields import (
     Positive,
     Priors,
     Prose,
+    Published,
     SquareMm,
     StepDeg,
     Target,
@@ -74,7 +75,8 @@ class Source(Section):
 class Board(Section):
     """The calibration board; `columns` and `rows` count inner corners.
 
-    `corners` is a corner cache in mrcal's format; `target` the corner that is gazed at.
+    `corners` is a corner cache in mrcal's format; `target` the corner that is gazed at; `detector`
+    forces one of the chessboard detectors, which `cascade` tries in turn.
     """
 
     type: Literal["chessboard", "charuco"]
@@ -86,6 +88,7 @@ class Board(Section):
     dictionary: Line | None = None
     marker_mm: Positive | None = None
     legacy: Flag = False
+    detector: Literal["cascade", "classic", "sector"] = "cascade"
 
     @property
     def has_centre(self) -> bool:
@@ -310,6 +313,7 @@ class Manifest(Section):
     sweep: Table | None = None
     lengths: Table | None = None
     priors: Priors = Field(default_factory=dict)
+    published: Published = Field(default_factory=dict)
     certificate: Certificate = Certificate()
 
     @property

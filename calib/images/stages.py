@@ -63,6 +63,7 @@ def find_corners(
     board: Board,
     known: Known,
     *,
+    detector: str,
     progress: Callable[[int, int], None] | None = None,
 ) -> Corners:
     """Find the board in all images of a camera, each read once.
@@ -74,7 +75,13 @@ def find_corners(
     """
     size = pictures.image_size or _size(folder, pictures)
     return detect(
-        folder, pictures.names, board, image_size=size, cache=known.corners, progress=progress
+        folder,
+        pictures.names,
+        board,
+        image_size=size,
+        detector=detector,
+        cache=known.corners,
+        progress=progress,
     )
 
 

@@ -49,6 +49,8 @@ class ReportContext:
         One count or microstep; None where no encoder is described.
     priors
         Mean and standard deviation by parameter, as the manifest states them.
+    published
+        Published value and standard uncertainty by quantity, as the manifest states them.
     made
         Versions, commit, command, times.
     """
@@ -59,6 +61,7 @@ class ReportContext:
     statements: tuple[Statement, ...]
     encoder_step_rad: float | None
     priors: Mapping[str, tuple[float, float]]
+    published: Mapping[str, tuple[float, float]]
     made: Provenance
 
 
@@ -72,6 +75,7 @@ def report_context(dataset: Dataset, made: Provenance) -> ReportContext:
         statements=tuple(_statements(dataset)),
         encoder_step_rad=None if m.encoder is None else _rad(m.encoder.resolution_deg),
         priors={name: (prior.mean, prior.std) for name, prior in m.priors.items()},
+        published={name: (known.mean, known.std) for name, known in m.published.items()},
         made=made,
     )
 

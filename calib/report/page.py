@@ -22,6 +22,7 @@ from calib.report.sections.linear import linear
 from calib.report.sections.parameters import parameters
 from calib.report.sections.posterior import posterior
 from calib.report.sections.provenance import provenance
+from calib.report.sections.published import published
 from calib.report.sections.residuals import residuals
 from calib.report.sections.stereo import stereo
 from calib.report.sections.sweep import sweep
@@ -36,6 +37,7 @@ SECTIONS: tuple[Callable[[Calibration, ReportContext], Section | None], ...] = (
     intrinsics,
     stereo,
     sweep,
+    published,
     parameters,
     residuals,
     linear,

@@ -192,7 +192,7 @@ def test_all_problems_at_once_in_a_process_of_its_own(tmp_path: Path) -> None:
 
 
 def test_reader_that_goes_away_is_no_error() -> None:
-    command = f"set -o pipefail; {CALIB} check '{DATASETS / 'xu-wang-2017'}' | head -c 0"
+    command = f"set -o pipefail; '{CALIB}' check '{DATASETS / 'xu-wang-2017'}' | head -c 0"
     done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False)
     assert "Traceback" not in done.stderr
     assert done.returncode in (0, 141)

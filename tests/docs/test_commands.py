@@ -23,8 +23,7 @@ BLOCK = re.compile(r"^```sh\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 LINK = re.compile(r"\]\((?!https?://|#)([^)#]+)\)")
 WITH_COMMANDS = [d for d in DOCUMENTS if BLOCK.search(d.read_text())]
 
-CALIB = """\
-#!{python}
+PROGRAM = """\
 import sys, warnings
 if {short}:
     sys.path.insert(0, {folder!r})
@@ -33,6 +32,12 @@ if {short}:
     warnings.simplefilter("ignore")
 from calib.__main__ import main
 sys.exit(main())
+"""
+
+# A shebang holds no path with spaces.
+CALIB = """\
+#!/bin/sh
+exec '{python}' '{program}' "$@"
 """
 
 MAKE = """\
@@ -58,9 +63,8 @@ def run(document: Path, folder: Path, *, short: bool) -> str:
     make = shutil.which("make")
     assert make is not None
     texts = {
-        "calib": CALIB.format(
-            python=sys.executable, short=short, folder=str(PROJECT / "tests" / "reliability")
-        ),
+        "calib.py": PROGRAM.format(short=short, folder=str(PROJECT / "tests" / "reliability")),
+        "calib": CALIB.format(python=sys.executable, program=tools / "calib.py"),
         "make": MAKE.format(make=make, project=f"'{PROJECT}'"),
     }
     for name, text in texts.items():

@@ -300,6 +300,7 @@ def test_a_dataset_without_gaze_rows_has_its_report() -> None:
         "intrinsics",
         "stereo",
         "sweep",
+        "published",
         "provenance",
     ]
 

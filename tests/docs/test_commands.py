@@ -63,8 +63,8 @@ def run(document: Path, folder: Path, *, short: bool) -> str:
     make = shutil.which("make")
     assert make is not None
     texts = {
-        "calib.py": PROGRAM.format(short=short, folder=str(PROJECT / "tests" / "reliability")),
-        "calib": CALIB.format(python=sys.executable, program=tools / "calib.py"),
+        "program.py": PROGRAM.format(short=short, folder=str(PROJECT / "tests" / "reliability")),
+        "calib": CALIB.format(python=sys.executable, program=tools / "program.py"),
         "make": MAKE.format(make=make, project=f"'{PROJECT}'"),
     }
     for name, text in texts.items():

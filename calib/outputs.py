@@ -61,8 +61,10 @@ def _results(calibration: Calibration) -> dict[str, bytes]:
     for name, found in calibration.images.intrinsics.items():
         files[f"{name}.yaml"] = opencv_text(found.camera).encode()
         # mrcal's own file holds its solve too, from which mrcal-tools tell uncertainties.
-        own = found.model_files.get(found.selected.lens_model)
-        files[f"{name}.cameramodel"] = (own or cameramodel_text(found.camera)).encode()
+        lens = f"'{found.selected.lens_model}'"
+        own = [text for text in found.model_files.values() if lens in text]
+        text = own[0] if own else cameramodel_text(found.camera)
+        files[f"{name}.cameramodel"] = text.encode()
     if calibration.images.corners:
         files["corners.vnl"] = write_cache(list(calibration.images.corners.values())).encode()
     return files

@@ -7,6 +7,7 @@ import io
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, fields
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -53,7 +54,7 @@ def write_study(
         "ranks.svg": styled(lambda: ranks(_ranks(records))),
     }
     for name, draw in FIGURES.items():
-        contents[f"{name}.svg"] = styled(lambda draw=draw: draw(scores))  # type: ignore[misc]
+        contents[f"{name}.svg"] = styled(partial(draw, scores))
     written = []
     for name, content in contents.items():
         if content is not None:

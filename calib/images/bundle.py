@@ -163,7 +163,7 @@ def dispersion(clusters: Sequence[Sequence[Block]], spread: FloatArray, columns:
     independent residuals, averaged over all directions: the cluster-robust covariance of Liang and
     Zeger (1986, doi 10.1093/biomet/73.1.13), less its bias, as one number. 1 on independent noise,
     more where errors are common to an image: a detector's bias with the light, blur, a board that
-    is not quite flat. Never below 1: few clusters may agree by chance.
+    is not quite flat; less where neighbouring corners err against each other. See `proven`.
 
     Parameters
     ----------
@@ -176,7 +176,7 @@ def dispersion(clusters: Sequence[Sequence[Block]], spread: FloatArray, columns:
     """
     chosen = spread[columns]
     weight = chosen.T @ inverse(chosen[:, columns]) @ chosen
-    found = expected = 0.0
+    found = expected = square = 0.0
     for blocks in clusters:
         own = np.unique(np.concatenate([block.columns for block in blocks]))
         at_own = [block._replace(columns=np.searchsorted(own, block.columns)) for block in blocks]
@@ -184,8 +184,27 @@ def dispersion(clusters: Sequence[Sequence[Block]], spread: FloatArray, columns:
         inside = np.ix_(own, own)
         found += float(normal.gradient @ weight[inside] @ normal.gradient)
         left = normal.matrix - normal.matrix @ spread[inside] @ normal.matrix
-        expected += float(np.einsum("ij,ji->", weight[inside], left))
-    return max(1.0, found / expected)
+        share = weight[inside] @ left
+        expected += float(np.trace(share))
+        square += float(np.einsum("ij,ji->", share, share))
+    return proven(found / expected, freedom=expected**2 / square)
+
+
+def proven(ratio: float, *, freedom: float) -> float:
+    """Return the factor on a variance that an estimated ratio of variances bears out.
+
+    The ratio itself where it is above 1. Below, that much is claimed only as the estimate proves:
+    the ratio and one standard error of it, sqrt(2 / freedom), and never more than 1. Few clusters
+    may agree by chance.
+
+    Parameters
+    ----------
+    ratio
+        Variance found over variance expected.
+    freedom
+        Degrees of freedom of the variance found.
+    """
+    return max(ratio, min(1.0, ratio * (1 + float(np.sqrt(2 / freedom)))))
 
 
 def finite(rows: FloatArray) -> BoolArray:

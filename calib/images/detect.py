@@ -8,6 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
 import numpy as np
 
 from calib.arrays import FloatArray
@@ -137,7 +138,17 @@ class _Search:
                     "correct image_size, or take out images of another camera or mode",
                 )
             )
-        return _Outcome(self._find(grey))
+        try:
+            return _Outcome(self._find(grey))
+        except (cv2.error, MemoryError) as error:
+            words = str(error).strip() or type(error).__name__
+            return _Outcome(
+                problem=Problem(
+                    name,
+                    f"the search for the board broke down ({words})",
+                    "take the image out of the dataset; if there is too little memory, free some",
+                )
+            )
 
     def _find(self, grey: Grey) -> Found:
         if self._board.type != "charuco":

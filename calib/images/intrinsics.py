@@ -64,7 +64,7 @@ class Intrinsics:
         `dispersion`.
     dispersion
         Variance of the estimate as the views show it over that which independent corner noise
-        explains; 1 where they show less.
+        explains; below 1 as far as they prove it.
     alternatives
         The other fits: both backends, all lens models.
     selection
@@ -273,7 +273,7 @@ def _assemble(
     selected = mrcal.fits.get(lens, backends.checked[lens])
     points = backends.points[lens]
     scores = view_scores(selected.camera, selected.poses, selected.residuals, points)
-    dispersion = max(1.0, scores.dispersion())
+    dispersion = scores.dispersion()
     enlarged = replace(selected, covariance=selected.covariance * dispersion)
     inliers = np.where(np.isfinite(selected.residuals), corners.pixels, np.nan)
     coverage = measure_coverage(inliers, corners.image_size)

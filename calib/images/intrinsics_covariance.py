@@ -9,7 +9,7 @@ import numpy as np
 from calib.arrays import FloatArray
 from calib.errors import EstimationError
 from calib.geometry.camera import Camera
-from calib.images.bundle import inverse, project_points
+from calib.images.bundle import inverse, project_points, proven
 from calib.images.detect_grid import seen
 from calib.images.poses import transform, transformed_by_pose
 
@@ -65,14 +65,15 @@ class ViewScores:
         return inverse(self.normals.sum(axis=0)) * self.variance
 
     def dispersion(self) -> float:
-        """Return the factor by which views contradict each other more than corner noise explains.
+        """Return the variance that views show over that which independent corner noise explains.
 
         The sum over views of s' N^-1 s (s the score, N the normal matrix of all views), over its
         expectation under independent noise, sigma^2 (p - sum tr (N^-1 N_v)^2): the variance of the
         estimate as the views show it over that of `covariance`, averaged over all directions (a
         cluster-robust covariance, Liang and Zeger 1986, doi 10.1093/biomet/73.1.13, as one number).
         1 on independent noise, more where errors are common to a view: a board that is not quite
-        flat, a detector's bias with the light, blur.
+        flat, a detector's bias with the light, blur; less where neighbouring corners err against
+        each other, as far as the views prove it (`calib.images.bundle.proven`).
         """
         normal = self.normals.sum(axis=0)
         scale = np.sqrt(np.diag(normal))
@@ -80,9 +81,10 @@ class ViewScores:
         spread = np.linalg.pinv(normal / np.outer(scale, scale), hermitian=True)
         spread = spread / np.outer(scale, scale)
         share = spread @ self.normals
-        expected = float(np.trace(spread @ normal) - np.einsum("vij,vji->", share, share))
+        alike = float(np.einsum("vij,vji->", share, share))
+        expected = float(np.trace(spread @ normal)) - alike
         found = float(np.einsum("vi,ij,vj->", self.scores, spread, self.scores))
-        return found / (self.variance * expected)
+        return proven(found / (self.variance * expected), freedom=expected**2 / alike)
 
 
 def view_scores(

@@ -96,7 +96,10 @@ def _manner(returncode: int) -> str:
     """Say how the worker ended."""
     if returncode > 0:
         return "failed"
-    return f"crashed with {signal.Signals(-returncode).name}"
+    name = signal.Signals(-returncode).name
+    if -returncode == signal.SIGKILL:
+        return f"was killed ({name}), as systems do that run out of memory"
+    return f"crashed with {name}"
 
 
 def _last_words(stderr: bytes) -> str:

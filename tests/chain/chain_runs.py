@@ -14,11 +14,12 @@ from calib.results import Calibration
 
 @dataclass(frozen=True)
 class Chain:
-    """A finished run: its result, calibration.json and the truth behind it."""
+    """A finished run: its result, folder, calibration.json and the truth behind it."""
 
     calibration: Calibration
     document: dict[str, Any]
     truth: dict[str, Any]
+    out: Path
 
     def pulls(self, fit: str) -> dict[str, float]:
         """Return (estimate - truth) / std of the parameters of a fit."""
@@ -46,4 +47,5 @@ def run_chain(folder: Path, out: Path) -> Chain:
         run.calibration,
         json.loads((out / "calibration.json").read_text()),
         json.loads(truth.read_text()) if truth.exists() else {},
+        out,
     )

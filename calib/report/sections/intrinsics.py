@@ -122,9 +122,9 @@ def _fits(i: Intrinsics) -> Table:
         f"Fits of {i.name.upper()}, ± standard uncertainty",
         heads,
         rows,
-        note="That of the selected fit is widened by the factor "
-        f"{significant(i.dispersion**0.5)}, by which the views disagree with each other beyond "
-        "the noise of their corners. Bow: at the middle, along the board's columns and rows.",
+        note="That of the selected fit is multiplied by the factor "
+        f"{significant(i.dispersion**0.5)}: how far the views disagree with each other, over what "
+        "the noise of their corners explains. Bow: at the middle, along the board's columns and rows.",
     )
 
 

@@ -115,15 +115,15 @@ def _solves(s: StereoReference) -> Table:
     rows += [
         [words("rms / px"), *(decimals(solve.rms_px, 3) for solve in s.solves)],
         [words("Corners rejected"), *(number(str(v.rejected), v.rejected) for v in s.solves)],
-        [words("u widened by the factor"), *(digits(v.dispersion**0.5) for v in s.solves)],
+        [words("u multiplied by the factor"), *(digits(v.dispersion**0.5) for v in s.solves)],
     ]
     heads = ["", f"{names[0]} (used)", *names[1:]]
     return table(
         "Pose of C2 in C1 by each backend, ± standard uncertainty",
         heads,
         rows,
-        note="u is widened where the pairs disagree with each other beyond the noise of their "
-        "corners.",
+        note="The factor is how far the pairs disagree with each other, over what the noise of "
+        "their corners explains.",
     )
 
 

@@ -187,7 +187,7 @@ def dispersion(clusters: Sequence[Sequence[Block]], spread: FloatArray, columns:
         share = weight[inside] @ left
         expected += float(np.trace(share))
         square += float(np.einsum("ij,ji->", share, share))
-    return proven(found / expected, freedom=expected**2 / square)
+    return proven(found / expected, freedom=expected**2 / square if square > 0 else 0.0)
 
 
 def proven(ratio: float, *, freedom: float) -> float:
@@ -202,8 +202,10 @@ def proven(ratio: float, *, freedom: float) -> float:
     ratio
         Variance found over variance expected.
     freedom
-        Degrees of freedom of the variance found.
+        Degrees of freedom of the variance found; 0 or less proves nothing.
     """
+    if freedom <= 0:
+        return max(ratio, 1.0)
     return max(ratio, min(1.0, ratio * (1 + float(np.sqrt(2 / freedom)))))
 
 

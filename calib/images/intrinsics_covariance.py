@@ -13,6 +13,10 @@ from calib.images.bundle import inverse, project_points, proven
 from calib.images.detect_grid import seen
 from calib.images.poses import transform, transformed_by_pose
 
+OPEN = 1e-10
+"""Share of the greatest information, unknowns scaled, below which a direction counts as open: its
+standard deviation is 100,000 times that of the best."""
+
 
 @dataclass(frozen=True)
 class ViewScores:
@@ -77,13 +81,16 @@ class ViewScores:
         """
         normal = self.normals.sum(axis=0)
         scale = np.sqrt(np.diag(normal))
+        value, vector = np.linalg.eigh(normal / np.outer(scale, scale))
         # Directions that the views leave open hold no score to be judged.
-        spread = np.linalg.pinv(normal / np.outer(scale, scale), hermitian=True)
-        spread = spread / np.outer(scale, scale)
-        share = spread @ self.normals
-        alike = float(np.einsum("vij,vji->", share, share))
-        expected = float(np.trace(spread @ normal)) - alike
-        found = float(np.einsum("vi,ij,vj->", self.scores, spread, self.scores))
+        shown = value > OPEN * value[-1]
+        root = vector[:, shown] / np.sqrt(value[shown]) / scale[:, None]
+        share = root.T @ self.normals @ root
+        alike = float((share**2).sum())
+        expected = float(shown.sum()) - alike
+        if expected <= OPEN:  # one view alone
+            return 1.0
+        found = float(((self.scores @ root) ** 2).sum())
         return proven(found / (self.variance * expected), freedom=expected**2 / alike)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from calib.arrays import FloatArray, IntArray
 from calib.errors import EstimationError
 from calib.geometry.camera import Camera
-from calib.images.bundle import Minimum, bowed, dispersion, finite, inverse, minimise
+from calib.images.bundle import Minimum, bowed, dispersion, finite, inverse, minimise, proven
 from calib.images.checks import RMS_LIMIT_PX, outlier_limit, require_board
 from calib.images.mrcal_process import MIN_CORNERS
 from calib.images.pairs import half_turn_looks_same, single_view_pose
@@ -47,6 +47,7 @@ HELD = 1e-4
 """Factor on priors that holds their quantities, against images that pull with a cost of 10^8."""
 
 _ROUNDS = 3
+_SMALLEST_STEP = 0.1
 _STARTS = 5
 _CHECKED = 10
 
@@ -249,7 +250,9 @@ def _check_board(problem: SweepProblem, board: Board) -> None:
 def _refined(problem: SweepProblem, x: FloatArray) -> tuple[SweepProblem, Minimum]:
     """Return problem and minimum with noise from the residuals, outliers out, priors where needed.
 
-    Encoder terms that the sweep shows lose their priors: what it says of them is then its own.
+    Encoder terms that the sweep shows lose their priors: what it says of them is then its own. How
+    far the readings err is taken from the images, too: a motor that rests on whole counts errs by
+    much less than a count.
     """
     try:
         minimum = minimise(partial(blocks_of, problem), x)
@@ -271,9 +274,28 @@ def _refined(problem: SweepProblem, x: FloatArray) -> tuple[SweepProblem, Minimu
         sigma = _sigma(problem, minimum, residuals)
         good = np.abs(residuals).max(axis=-1, keepdims=True) <= outlier_limit(residuals)
         pixels = np.where(good, problem.pixels, np.nan)
-        problem = replace(problem, sigma_px=sigma, pixels=pixels)
-        minimum = minimise(partial(blocks_of, problem), minimum.x)
+        turns = problem.at_turns
+        factor = _turn_factor(minimum, turns)
+        start = minimum.x.copy()
+        start[turns] /= factor
+        problem = replace(
+            problem, sigma_px=sigma, pixels=pixels, turn_std_rad=problem.turn_std_rad * factor
+        )
+        minimum = minimise(partial(blocks_of, problem), start)
     return problem, minimum
+
+
+def _turn_factor(minimum: Minimum, turns: IntArray) -> float:
+    """Return the standard deviation of the readings' errors over the one assumed.
+
+    Their variance component: the squares found over the degrees of freedom that the images decide
+    (Foerstner 1979; MacKay 1992, doi 10.1162/neco.1992.4.3.415), as far as proven.
+    """
+    freedom = len(turns) - float(np.diag(inverse(minimum.normal.matrix))[turns].sum())
+    if freedom < 1:
+        return 1.0
+    ratio = float((minimum.x[turns] ** 2).sum()) / freedom
+    return max(_SMALLEST_STEP, float(np.sqrt(proven(ratio, freedom=freedom))))
 
 
 def _sigma(problem: SweepProblem, minimum: Minimum, residuals: FloatArray) -> float:

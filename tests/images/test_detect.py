@@ -13,8 +13,9 @@ import pytest
 
 from calib.errors import InputError
 from calib.geometry.camera import Camera
+from calib.images import detect as detect_stage
 from calib.images.detect import detect
-from calib.images.detect_board import CHESSBOARD_DETECTORS, find_chessboard
+from calib.images.detect_board import CHESSBOARD_DETECTORS, Found, find_chessboard
 from calib.images.detect_charuco import CharucoFinder
 from calib.images.detect_grid import irregular, orient_like, spacing, squares
 from calib.images.picture import read_grey, thumbnail
@@ -319,6 +320,38 @@ def test_all_unusable_images_are_named_at_once(
     assert [problem.where for problem in caught.value.problems] == bad
     assert "600 x 480" in caught.value.problems[0].what
     assert capfd.readouterr().err == ""
+
+
+@pytest.mark.parametrize("error", [cv2.error("assertion failed"), MemoryError()])
+def test_a_search_that_breaks_down_names_its_image(
+    tmp_path: Path,
+    drawn: list[tuple[np.ndarray, np.ndarray]],
+    monkeypatch: pytest.MonkeyPatch,
+    error: Exception,
+) -> None:
+    """Faults made on purpose, in one of the threads: all others go on, all faults are told."""
+    names = [write(tmp_path, f"{i}.png", drawn[i][0]) for i in range(3)]
+    spoilt = {names[0], names[2]}
+    broken = {read_grey(tmp_path / n, name=n).tobytes() for n in spoilt}
+
+    def find(grey: np.ndarray, board: Board, *, detector: str) -> Found:
+        if grey.tobytes() in broken:
+            raise error
+        return find_chessboard(grey, board, detector=detector)
+
+    monkeypatch.setattr(detect_stage, "find_chessboard", find)
+    told: list[int] = []
+    with pytest.raises(InputError) as caught:
+        detect(
+            tmp_path,
+            names,
+            scenes.BOARD,
+            image_size=scenes.SIZE,
+            progress=lambda done, _: told.append(done),
+        )
+    assert told == [1, 2, 3]
+    assert {p.where for p in caught.value.problems} == spoilt
+    assert all("broke down" in p.what for p in caught.value.problems)
 
 
 def test_each_image_is_read_once_and_progress_is_told(

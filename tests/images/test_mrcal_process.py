@@ -3,7 +3,11 @@ on purpose. Needs mrcal, which a machine without it says in the first failure.""
 
 from __future__ import annotations
 
+import os
+import signal
 import sys
+import threading
+import time
 from pathlib import Path
 
 import board_scenes as scenes
@@ -173,6 +177,7 @@ def test_missing_mrcal_is_named_with_the_remedy(
     ("script", "words"),
     [
         ("kill -SEGV $$", "SIGSEGV"),
+        ("kill -KILL $$", "killed.*out of memory"),
         ("echo first >&2; echo 'no convergence' >&2; exit 1", "failed: no convergence"),
         ("exec sleep 60", "no answer within"),
     ],
@@ -191,6 +196,37 @@ def test_crash_failure_and_hang_become_errors(
     monkeypatch.setattr(mrcal_call, "TIMEOUT_S", 0.5)
     with pytest.raises(EstimationError, match=words):
         solve([exact.c1], scenes.BOARD, lens_model=OPENCV5, seed=0)
+
+
+def test_worker_killed_in_mid_solve_is_named(
+    exact: scenes.Pairs, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """mrcal itself, sent SIGKILL from outside once it has read its request."""
+    marker = tmp_path / "pid"
+    interpreter = tmp_path / "python"
+    # The shell becomes the real interpreter: the process it names is the one that solves.
+    real = mrcal_call.mrcal_interpreter()
+    interpreter.write_text(f'#!/bin/sh\necho $$ >"{marker}"\nexec "{real}" "$@"\n', "ascii")
+    interpreter.chmod(0o755)
+    monkeypatch.setenv(mrcal_call.INTERPRETER_VARIABLE, str(interpreter))
+    killed = []
+
+    def kill() -> None:
+        deadline = time.monotonic() + 30
+        while time.monotonic() < deadline:
+            text = marker.read_text() if marker.exists() else ""
+            if text.endswith("\n") and b"mrcal" in Path(f"/proc/{int(text)}/maps").read_bytes():
+                os.kill(int(text), signal.SIGKILL)
+                killed.append(int(text))
+                return
+            time.sleep(0.005)
+
+    killer = threading.Thread(target=kill)
+    killer.start()
+    with pytest.raises(EstimationError, match="mrcal was killed"):
+        solve([exact.c1], scenes.BOARD, lens_model=OPENCV5, seed=0)
+    killer.join()
+    assert len(killed) == 1
 
 
 def test_too_few_views_are_refused(exact: scenes.Pairs) -> None:

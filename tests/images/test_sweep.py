@@ -18,7 +18,7 @@ from calib.images.bundle import sum_blocks
 from calib.images.poses import pose_vector
 from calib.images.sweep import NAMES, SweepResult, yaw_sweep
 from calib.images.sweep_model import AXIS, ENCODER, SweepProblem, blocks_of, residuals_of
-from calib.images.sweep_solve import SweepReadings
+from calib.images.sweep_solve import SweepReadings, solve_sweep
 from calib.images.types import Board, Corners
 from calib.simulate.rig import Rig, c2_pose, draw_rig, yaw_axis_in_c2
 
@@ -190,6 +190,25 @@ def test_stated_uncertainties_hold_over_rigs(readings: FloatArray) -> None:
     # The rms of 30 normal numbers: standard deviation 0.13.
     rms = np.sqrt(np.mean(np.square(pulls), axis=0))
     assert np.all((rms > 0.7) & (rms < 1.4)), rms
+
+
+@pytest.mark.parametrize("stated_rad", [1e-3, 3e-4, 6e-5])
+def test_images_tell_how_far_readings_err(stated_rad: float) -> None:
+    """Readings rounded to 0.3 mrad, stated too large, right, and too small."""
+    rng = np.random.default_rng(8)
+    rig = replace(draw_rig(rng, model="axis-offset"), resolution_rad=3e-4)
+    scene = scenes.sweep(rng, rig, readings=WIDE)
+    solution = solve_sweep(
+        scenes.noisy(rng, scene.found, SIGMA_PX),
+        SweepReadings(scene.alpha2_rad, scene.placements, stated_rad, 0.0),
+        scenes.BOARD,
+        camera=rig.c2,
+        covariance=np.zeros((9, 9)),
+        warp_mm=None,
+        priors={},
+    )
+    # Of 34 rounded readings; what is too large comes down to one standard error above.
+    assert solution.problem.turn_std_rad == pytest.approx(3e-4 / np.sqrt(12), rel=0.35)
 
 
 def test_two_degrees_leave_the_eccentricity_open() -> None:

@@ -17,6 +17,7 @@ from calib.report.blocks import (
     Paragraph,
     Section,
     Table,
+    facts,
     number,
     table,
     words,
@@ -70,7 +71,7 @@ def _camera(i: Intrinsics, corners: FloatArray) -> list[Block]:
     ]
     return [
         _fits(i),
-        Facts(_facts(i)),
+        _facts(i),
         picture(
             f"coverage-{i.name}",
             draw_coverage(i, used),
@@ -124,7 +125,8 @@ def _fits(i: Intrinsics) -> Table:
         rows,
         note="That of the selected fit is multiplied by the factor "
         f"{significant(i.dispersion**0.5)}: how far the views disagree with each other, over what "
-        "the noise of their corners explains. Bow: at the middle, along the board's columns and rows.",
+        "the noise of their corners explains. Bow: at the middle, along the board's columns and "
+        "rows.",
     )
 
 
@@ -146,20 +148,16 @@ def _bow(fit: LensFit) -> Cell:
     return number(f"{x}, {y}", fit.board_warp_mm[0])
 
 
-def _facts(i: Intrinsics) -> tuple[tuple[str, str], ...]:
+def _facts(i: Intrinsics) -> Facts:
     lens = ", ".join(digits(float(k), 4).text for k in i.camera.distortion) or "none"
-    facts = [
+    return facts(
         ("Selected because", i.selection),
         ("Lens distortion, selected", f"{lens} (order of OpenCV)"),
         ("Views", f"{len(i.images)}, of which {len(i.rejected_views)} rejected"),
-    ]
-    if i.rejected_views:
-        facts.append(("Rejected views", ", ".join(i.rejected_views)))
-    facts += [
+        ("Rejected views", ", ".join(i.rejected_views)),
         ("Coverage", f"{100 * i.coverage.share:.0f} % of the imager's cells"),
         ("mrcal", _mrcal(i.mrcal_version)),
-    ]
-    return tuple(facts)
+    )
 
 
 def _difference_table(i: Intrinsics) -> Table:

@@ -6,16 +6,14 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from calib.average import doubt_of
+from calib.fit.identifiability import Identifiability
 from calib.fit.posterior import ESS_GOAL, R_HAT_LIMIT, Posterior
 from calib.fit.priors import NOISE_SCALE
 from calib.gates import Gate
 from calib.geometry.parameters import INDEX, PARAMETERS
 from calib.images.result import ImageResult
-from calib.instrument import (
-    CalibratedInstrument,
-    DepthTable,
-    normalised_error,
-)
+from calib.instrument import normalised_error
 from calib.results import GazeResult
 
 NOISE_SCALE_LIMIT = 5.0
@@ -29,10 +27,6 @@ MISSED_SHARE = 0.1
 
 OUTLIER_SHARE_LIMIT = 1 / 6
 """Above it the noise scale itself may be an outlier's: see `calib.fit.noise`."""
-
-DEPTH_LIMIT_REL = 0.2
-"""Relative standard uncertainty, in the middle of the calibrated depths, above which nothing has
-been calibrated that a look would not tell."""
 
 
 def all_gates(
@@ -65,12 +59,11 @@ def gaze_gates(gaze: GazeResult) -> tuple[Gate, ...]:
     gates = [gaze.sense, _fitted(gaze)]
     if gaze.posterior:
         gates += [_convergence(gaze.posterior), _agreement(gaze.posterior)]
-    if gaze.comparison is not None and gaze.calibrated is not None and gaze.depths is not None:
-        gates += [
-            _residuals(gaze, gaze.comparison.selected),
-            _outliers(gaze, gaze.comparison.selected),
-        ]
-        gates.append(_identified(gaze.calibrated, gaze.depths))
+    if gaze.comparison is not None:
+        selected = gaze.comparison.selected
+        gates += [_residuals(gaze, selected), _outliers(gaze, selected)]
+        # Of the other models it is no fault to be undetermined: they were not selected.
+        gates.append(gaze.identifiability[selected].gate)
     return tuple(gates)
 
 
@@ -137,20 +130,6 @@ def _outliers(gaze: GazeResult, model: str) -> Gate:
     return Gate("outliers", passed=passed, detail=detail)
 
 
-def _identified(calibrated: CalibratedInstrument, depths: DepthTable) -> Gate:
-    low, high = calibrated.calibrated_mm
-    middle = int(np.argmin(np.abs(depths.depth_mm - (low + high) / 2)))
-    relative = float(depths.prediction.u_mm[middle] / depths.depth_mm[middle])
-    passed = relative <= DEPTH_LIMIT_REL
-    detail = f"a depth of {depths.depth_mm[middle]:.0f} mm is measured to {100 * relative:.2g} %"
-    if not passed:
-        detail += (
-            f" (limit {100 * DEPTH_LIMIT_REL:.0f} %): the rows do not determine the calibration; "
-            "add targets at other depths and yaw angles"
-        )
-    return Gate("identified", passed=passed, detail=detail)
-
-
 def gaze_warnings(gaze: GazeResult) -> tuple[str, ...]:
     """Return what the reader should know of the gaze calibration."""
     found = []
@@ -163,18 +142,16 @@ def gaze_warnings(gaze: GazeResult) -> tuple[str, ...]:
                 f"uncertainties lead to expect; all uncertainties are widened accordingly "
                 f"({NOISE_SCALE})"
             )
-        found += [
-            f"{name} ({PARAMETERS[INDEX[name]].meaning}) is decided by prior knowledge, not by "
-            "the rows"
-            for name, who in zip(fit.names, fit.identified_by, strict=True)
-            if who == "prior"
-        ]
+        found += _left_to_priors(gaze.identifiability[model])
         found += [
             f"model {score.model}: left-out density of row {', '.join(score.unreliable)} is "
             "unreliable, its importance weights have a heavy tail"
             for score in gaze.comparison.scores
             if score.unreliable
         ]
+    if gaze.average is not None and gaze.depths is not None:
+        told = doubt_of(gaze.average, gaze.depths)
+        found += [] if told is None else [told]
     if gaze.calibrated is not None and gaze.calibrated.measures_residual:
         found.append(
             "depth uncertainties are those of readings with C2's image (u2_px), as in the "
@@ -186,6 +163,22 @@ def gaze_warnings(gaze: GazeResult) -> tuple[str, ...]:
             f"base/convex is not proved optimal: duality gap {gaze.convex.duality_gap:.1e}"
         )
     return tuple(found)
+
+
+def _left_to_priors(found: Identifiability) -> list[str]:
+    """Return what the rows leave open, with the parameters that priors therefore decide."""
+    left = [name for name, who in zip(found.names, found.decided_by, strict=True) if who == "prior"]
+    texts = []
+    for combination in found.open:
+        own = [name for name in found.names if name in combination.names and name in left]
+        left = [name for name in left if name not in own]
+        decided = f"; until then its prior decides {' and '.join(own)}" if own else ""
+        texts.append(f"{combination.words}{decided}")
+    texts += [
+        f"{name} ({PARAMETERS[INDEX[name]].meaning}) is decided by prior knowledge, not by the rows"
+        for name in left
+    ]
+    return texts
 
 
 def disagreements(gaze: GazeResult) -> tuple[str, ...]:

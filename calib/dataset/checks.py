@@ -33,10 +33,18 @@ DEPTH_SPREAD = 0.01
 """Relative spread of depths below which targets stand at one depth."""
 
 
-def faults(dataset: Dataset) -> Iterator[Problem]:
-    """Yield what must be mended before the dataset can be calibrated."""
+def faults(dataset: Dataset, *, rows_to_come: bool = False) -> Iterator[Problem]:
+    """Yield what must be mended before the dataset can be calibrated.
+
+    Parameters
+    ----------
+    rows_to_come
+        Whether gaze rows are still to be taken: few or none are no fault then.
+    """
     yield from _missing_sections(dataset)
-    yield from _too_few(dataset)
+    yield from _too_few_images(dataset)
+    if not rows_to_come:
+        yield from _too_few_rows(dataset)
     yield from _unknown_pairs(dataset)
     yield from _unknown_ends(dataset)
     yield from _pixels_outside(dataset)
@@ -152,12 +160,6 @@ def _missing_sections(dataset: Dataset) -> Iterator[Problem]:
                 what=f"section {name} is missing; {' and '.join(reasons)} cannot do without",
                 remedy="add it; datasets/README.md shows one",
             )
-    if not (uses.rows or uses.intrinsic or uses.pairs or uses.sweep):
-        yield Problem(
-            where=MANIFEST,
-            what="names neither gaze rows nor images: there is nothing to calibrate",
-            remedy="add [gaze], or images of a camera",
-        )
     yield from _missing_target(dataset, by_rows=uses.images_c1 or uses.images_c2)
 
 
@@ -172,7 +174,7 @@ def _missing_target(dataset: Dataset, *, by_rows: bool) -> Iterator[Problem]:
         )
 
 
-def _too_few(dataset: Dataset) -> Iterator[Problem]:
+def _too_few_images(dataset: Dataset) -> Iterator[Problem]:
     for name, images in dataset.images.items():
         if 0 < len(images) < MIN_VIEWS:
             yield Problem(
@@ -180,7 +182,16 @@ def _too_few(dataset: Dataset) -> Iterator[Problem]:
                 what=f"{len(images)} images, and intrinsics need {MIN_VIEWS} views at least",
                 remedy="add images; 20 with the board tilted and all over the image are good",
             )
-    gaze = dataset.gaze
+
+
+def _too_few_rows(dataset: Dataset) -> Iterator[Problem]:
+    gaze, uses = dataset.gaze, _Uses.of(dataset)
+    if not (uses.rows or uses.intrinsic or uses.pairs or uses.sweep):
+        yield Problem(
+            where=MANIFEST,
+            what="names neither gaze rows nor images: there is nothing to calibrate",
+            remedy="add [gaze], or images of a camera",
+        )
     if gaze is not None and len(gaze) < MIN_ROWS:
         yield Problem(
             where=gaze.file,

@@ -30,15 +30,21 @@ T = TypeVar("T")
 _NOTHING: Mapping[str, FloatArray] = MappingProxyType({})
 
 
-def load_dataset(root: Path) -> Dataset:
+def load_dataset(root: Path, *, rows_to_come: bool = False) -> Dataset:
     """Return the dataset in a folder.
+
+    Parameters
+    ----------
+    rows_to_come
+        Whether gaze rows are still to be taken: few of them, none, or a table that is but a header
+        are no fault then.
 
     Raises
     ------
     InputError
         With all its problems.
     """
-    loading = _Loading(Folder.open(root))
+    loading = _Loading(Folder.open(root), rows_to_come)
     dataset = loading.dataset()
     if dataset is None or loading.problems:
         raise InputError(loading.problems)
@@ -70,6 +76,8 @@ class _Loading:
     ----------
     folder
         The dataset's folder.
+    rows_to_come
+        Whether gaze rows are still to be taken.
     contents
         Bytes of the text files read, by relative name.
     images
@@ -79,6 +87,7 @@ class _Loading:
     """
 
     folder: Folder
+    rows_to_come: bool = False
     contents: dict[str, bytes] = field(default_factory=dict)
     images: set[str] = field(default_factory=set)
     problems: list[Problem] = field(default_factory=list)
@@ -117,7 +126,7 @@ class _Loading:
             warnings=(),
         )
         self._require_images(dataset)
-        self.problems += faults(dataset)
+        self.problems += faults(dataset, rows_to_come=self.rows_to_come)
         return dataset
 
     def attempt(self, step: Callable[[], T]) -> T | None:
@@ -151,9 +160,12 @@ class _Loading:
         if name is None:
             return None
         where = f"{MANIFEST}, [{section}] table"
-        scanned = self.attempt(
-            lambda: scan(self._text(name, limit=TABLE_LIMIT_BYTES, where=where), name=name)
-        )
+        text = self.attempt(lambda: self._text(name, limit=TABLE_LIMIT_BYTES, where=where))
+        if text is None:
+            return None
+        if self.rows_to_come and section == "gaze" and len(text.strip().splitlines()) == 1:
+            return None
+        scanned = self.attempt(lambda: scan(text, name=name))
         if scanned is None:
             return None
         self.problems += scanned.problems

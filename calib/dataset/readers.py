@@ -176,20 +176,7 @@ def _check_sources(cells: Cells, *, reference: bool) -> None:
 
 
 def scan_sweep(text: str, *, name: str) -> Scanned[SweepTable]:
-    """Return the rows of a yaw sweep and their faults.
-
-    Parameters
-    ----------
-    text
-        Of the CSV table.
-    name
-        Of its file, for messages.
-
-    Raises
-    ------
-    InputError
-        If the text is no table at all.
-    """
+    """Return the rows of a yaw sweep and their faults; parameters and errors as `scan_gaze`."""
     cells = read_cells(text, file=name, known=SWEEP_COLUMNS)
     require_columns(cells, [(column,) for column in SWEEP_COLUMNS])
     table = SweepTable(
@@ -205,21 +192,14 @@ def scan_sweep(text: str, *, name: str) -> Scanned[SweepTable]:
 
 
 def scan_lengths(text: str, *, name: str, known: bool = True) -> Scanned[LengthTable]:
-    """Return distances between measured points and their faults.
+    """Return distances between measured points and their faults; errors as `scan_gaze`.
 
     Parameters
     ----------
-    text
-        Of the CSV table.
-    name
-        Of its file, for messages.
+    text, name
+        As `scan_gaze`.
     known
         Whether the lengths must be given; if not, they are what is asked for.
-
-    Raises
-    ------
-    InputError
-        If the text is no table at all.
     """
     cells = read_cells(text, file=name, known=LENGTH_COLUMNS)
     needed = LENGTH_COLUMNS if known else ("id", "from", "to")
@@ -230,19 +210,22 @@ def scan_lengths(text: str, *, name: str, known: bool = True) -> Scanned[LengthT
     length, u_length = cells.numbers("length_mm"), cells.numbers("u_length_mm")
     if known:
         for column in ("length_mm", "u_length_mm"):
-            if column in cells:
-                cells.report(~cells.present(column), column, "is empty", "give a value in mm")
+            _require_filled(cells, column, "give a value in mm")
     check_lengths(cells, length, u_length)
     table = LengthTable(name, cells.lines, _ids(cells), start, end, length, u_length)
     return _scanned(cells, table)
 
 
+def _require_filled(cells: Cells, column: str, remedy: str = "fill it in every row") -> None:
+    """Report empty cells; a missing column is reported by `require_columns`."""
+    if column in cells:
+        cells.report(~cells.present(column), column, "is empty", remedy)
+
+
 def _filled(cells: Cells, column: str) -> tuple[str, ...]:
     """Return a column of names; reports empty cells."""
     names = cells.names(column)
-    if column in cells:
-        empty = [n is None for n in names]
-        cells.report(empty, column, "is empty", "fill it in every row")
+    _require_filled(cells, column)
     return tuple(n or "" for n in names)
 
 
@@ -309,8 +292,8 @@ def _pair(cells: Cells, first: str, second: str, *, alone: bool) -> tuple[FloatA
 def _degrees(cells: Cells, *, needed: bool) -> FloatArray:
     """Return alpha2_deg in rad; reports what is outside (0, 180) or looks like radians."""
     degrees = cells.numbers("alpha2_deg")
-    if needed and "alpha2_deg" in cells:
-        cells.report(~cells.present("alpha2_deg"), "alpha2_deg", "is empty", "fill it in every row")
+    if needed:
+        _require_filled(cells, "alpha2_deg")
     check_angles(cells, degrees)
     return np.deg2rad(degrees)
 

@@ -3,23 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 import numpy as np
 
 from calib.arrays import FloatArray
-from calib.fit.noise import EFFICIENCY, is_outlier, row_noise
+from calib.fit.information import Known, beforehand, kept, row_slopes, slopes
 from calib.fit.priors import Priors, measured_of, prior_of
-from calib.fit.robust import RobustFit
+from calib.fit.robust import DECIDED, RobustFit
 from calib.gates import Gate
+from calib.geometry.closure import closure
 from calib.geometry.parameters import MODELS, PARAMETERS, Model
-from calib.geometry.plane import closure, depth_jacobian
+from calib.geometry.plane import OBSERVABLE
 from calib.observations import Observations
 
-UNDETERMINED = 10.0
-"""Standard deviation, in units of `Parameter.scale`, of a combination which the rows leave open:
-10 mm or 10 mrad are what a ruler and the eye tell without any calibration."""
+UNDETERMINED = 1.0
+"""Standard deviation, in units of `beforehand`, above which the rows leave a combination open."""
 
 PREDICTED_LIMIT_REL = 0.05
 """Relative standard deviation of depth, from the parameters alone, at the rows' own depths. Above
@@ -31,35 +31,57 @@ INVOLVED = 0.25
 
 @dataclass(frozen=True)
 class Combination:
-    """A direction in parameter space, as the rows alone see it.
+    """A direction in parameter space, as the rows see it.
 
     Parameters
     ----------
     names
-        Parameters that make it up, the largest part first.
+        Parameters that make it up, in the order of the model's.
     direction
-        Unit vector in units of `Parameter.scale`, shape (p,).
+        Unit vector in units of `beforehand`, shape (p,); its largest part is positive.
     singular_value
-        Square root of the information along it: 1 / standard deviation.
+        Of the scaled information's root, from the rows alone: 1 / `std`.
     std
-        Standard deviation along it, in units of `Parameter.scale`; infinite if nothing is known.
+        Standard deviation along it, in units of `beforehand`, from the rows alone; infinite if
+        they say nothing.
+    std_with_sweep
+        The same with what was measured by the yaw sweep.
     std_with_priors
-        The same with priors and measured knowledge.
-    words
-        What the rows cannot tell and what to do about it; empty where they can.
+        The same with the priors too.
+    told_by
+        "rows" or "sweep", whichever brings it below `UNDETERMINED`, else "prior".
+    remedies
+        What would tell it, the likeliest first; empty unless it is left to the prior.
     """
 
     names: tuple[str, ...]
     direction: FloatArray
     singular_value: float
     std: float
+    std_with_sweep: float
     std_with_priors: float
-    words: str
+    told_by: str
+    remedies: tuple[str, ...]
+
+    @property
+    def words(self) -> str:
+        """What the rows cannot tell and what to do about it; empty where they can."""
+        if not self.remedies:
+            return ""
+        symbols = [_SYMBOLS[name] for name in self.names]
+        if len(symbols) == 1:
+            told = f"say hardly anything of {symbols[0]}"
+        else:
+            told = f"cannot tell {', '.join(symbols[:-1])} from {symbols[-1]}"
+        return f"these targets {told}: {', or '.join(self.remedies)}"
 
 
 @dataclass(frozen=True)
 class Identifiability:
     """What the rows can tell of one model.
+
+    Errors that all rows share (intrinsics, stereo extrinsics) are left out: they are no matter of
+    what the rows can tell apart.
 
     Parameters
     ----------
@@ -67,15 +89,23 @@ class Identifiability:
         Its name.
     names
         Free parameters, p of them.
+    scale
+        What is known of each beforehand, shape (p,), units of the parameters.
     combinations
-        Principal directions of the scaled Fisher information, the best known first; p of them.
+        Singular directions of the scaled information's root, the best known first; p of them.
     correlation
-        Of the parameters with priors and measured knowledge, shape (p, p).
-    data_std
+        Of the parameters with sweep and priors, shape (p, p).
+    rows_std
         Standard deviations from the rows alone, shape (p,), units of the parameters; infinite
-        where the rows leave a parameter open.
+        where they leave a parameter open.
+    sweep_std
+        The same with what was measured by the yaw sweep.
     std
-        With priors and measured knowledge, shape (p,).
+        The same with the priors too.
+    decided_by
+        For each parameter "rows", "sweep", "prior" or several of them.
+    has_sweep
+        Whether a sweep measured any parameter of the model.
     depth_std_rel
         Greatest relative standard deviation of depth, from the parameters alone, over the rows.
     gate
@@ -84,10 +114,14 @@ class Identifiability:
 
     model: str
     names: tuple[str, ...]
+    scale: FloatArray
     combinations: tuple[Combination, ...]
     correlation: FloatArray
-    data_std: FloatArray
+    rows_std: FloatArray
+    sweep_std: FloatArray
     std: FloatArray
+    decided_by: tuple[str, ...]
+    has_sweep: bool
     depth_std_rel: float
     gate: Gate
 
@@ -97,128 +131,186 @@ class Identifiability:
         last = self.combinations[-1].singular_value
         return self.combinations[0].singular_value / last if last > 0 else float("inf")
 
+    @property
+    def open(self) -> tuple[Combination, ...]:
+        """Combinations that neither rows nor sweep tell, the least known first."""
+        return tuple(c for c in reversed(self.combinations) if c.remedies)
+
 
 def identifiability(rows: Observations, fit: RobustFit, priors: Priors) -> Identifiability:
     """Return what `rows` can tell of the model of `fit`, at its estimate."""
     model = MODELS[fit.model]
-    unit = np.array([PARAMETERS[i].scale for i in model.indices])
-    data = row_information(rows, fit) * np.outer(unit, unit)
-    known = prior_of(model, priors).precision + measured_of(model, priors).precision
-    together = data + known * np.outer(unit, unit)
-    covariance: FloatArray = np.linalg.pinv(together, hermitian=True).astype(np.float64)
-    value, vectors = np.linalg.eigh(data)
-    combinations = tuple(
-        _combination(model, rows, float(value[k]), vectors[:, k], covariance, float(value[-1]))
-        for k in range(len(unit) - 1, -1, -1)
+    unit = beforehand(model)
+    own = row_slopes(rows, fit) * unit
+    measured = measured_of(model, priors).root()[0] * unit
+    prior = prior_of(model, priors).root()[0] * unit
+    levels = _Levels(
+        rows=Known.of(own),
+        sweep=Known.of(own, measured),
+        priors=Known.of(own, measured, prior),
+        has_sweep=bool(len(measured)),
     )
+    covariance = levels.priors.covariance
     std = np.sqrt(np.diag(covariance))
-    jacobian = depth_jacobian(fit.theta, rows.gaze)
-    slope = jacobian.by_theta[:, list(model.indices)] * unit
-    relative = np.sqrt(np.einsum("ni,ij,nj->n", slope, covariance, slope)) / np.abs(jacobian.z)
-    worst = float(relative.max())
+    worst = _depth_std_rel(rows, fit, covariance * np.outer(unit, unit))
+    combinations = tuple(_combination(levels, k, rows, fit) for k in range(len(unit)))
+    each = np.eye(len(unit))
     return Identifiability(
         model=model.name,
         names=model.free,
+        scale=unit,
         combinations=combinations,
         correlation=covariance / np.outer(std, std),
-        data_std=_data_std(value, vectors) * unit,
-        std=std * unit,
+        rows_std=levels.rows.std(each) * unit,
+        sweep_std=levels.sweep.std(each) * unit,
+        std=levels.priors.std(each) * unit,
+        decided_by=_decided_by(fit, levels, priors),
+        has_sweep=levels.has_sweep,
         depth_std_rel=worst,
         gate=_gate(model, worst, combinations),
     )
 
 
-def row_information(rows: Observations, fit: RobustFit) -> FloatArray:
-    """Return the rows' Fisher information at a fit, (p, p), per unit of the free parameters.
+@dataclass(frozen=True)
+class _Levels:
+    """What is known: from the rows, with the sweep, with the priors."""
 
-    Outliers are left out; the noise is what the fit found, its efficiency that of the t density.
+    rows: Known
+    sweep: Known
+    priors: Known
+    has_sweep: bool
+
+
+def _combination(levels: _Levels, k: int, rows: Observations, fit: RobustFit) -> Combination:
+    direction = levels.rows.directions[k]
+    singular = float(levels.rows.value[k])
+    alone = 1 / singular if singular > 0 else float("inf")
+    swept, known = (float(x.std(direction[None])[0]) for x in (levels.sweep, levels.priors))
+    names = tuple(n for n, d in zip(fit.names, direction, strict=True) if abs(d) > INVOLVED)
+    told_by = "rows" if alone <= UNDETERMINED else "sweep" if swept <= UNDETERMINED else "prior"
+    remedies = _remedies(names, rows, fit, swept=levels.has_sweep) if told_by == "prior" else ()
+    return Combination(names, direction, singular, alone, swept, known, told_by, remedies)
+
+
+def _decided_by(fit: RobustFit, levels: _Levels, priors: Priors) -> tuple[str, ...]:
+    """Return who decided each parameter: `RobustFit.identified_by`, its data taken apart."""
+    each = np.eye(len(fit.names))
+    alone, swept = levels.rows.std(each), levels.sweep.std(each)
+    measured = () if priors.measured is None else priors.measured.names
+    found = []
+    for i, (name, who) in enumerate(zip(fit.names, fit.identified_by, strict=True)):
+        if who == "prior":
+            found.append(who)
+            continue
+        # An infinity that the sweep leaves is no word of the sweep's.
+        by_rows = swept[i] > DECIDED * alone[i] or np.isinf(swept[i])
+        by_sweep = name in measured and swept[i] < (1 - DECIDED) * alone[i]
+        parts = ["rows"] if by_rows else ["sweep"] if by_sweep else ["rows", "sweep"]
+        parts += ["prior"] if who == "both" else []
+        found.append(" and ".join(filter(None, [", ".join(parts[:-1]), parts[-1]])))
+    return tuple(found)
+
+
+def _depth_std_rel(rows: Observations, fit: RobustFit, covariance: FloatArray) -> float:
+    """Return the greatest relative standard deviation of depth over the rows.
+
+    At their reference depths: those of rows that agree, so that no outlier's gaze decides it.
     """
-    c = closure(fit.theta, rows.gaze, rows.z_mm)
-    sigma = row_noise(fit.theta, rows).sigma
-    slope = c.by_theta[:, list(MODELS[fit.model].indices)] / (sigma * fit.noise_scale)[:, None]
-    slope = slope[~is_outlier(c.value / sigma, fit.noise_scale)]
-    information: FloatArray = EFFICIENCY * slope.T @ slope
-    return information
-
-
-NOTHING = 1e-14
-"""Share of the largest eigenvalue below which rounding has made an eigenvalue of nothing."""
-
-
-def _data_std(value: FloatArray, vectors: FloatArray) -> FloatArray:
-    """Return standard deviations, shape (p,), from an eigen decomposition of the information."""
-    open_to = value <= NOTHING * max(float(value[-1]), 1e-300)
-    variance = (vectors[:, ~open_to] ** 2 / value[~open_to]).sum(axis=1)
-    lost = (vectors[:, open_to] ** 2).sum(axis=1) > INVOLVED**4
-    std: FloatArray = np.where(lost, np.inf, np.sqrt(variance))
-    return std
-
-
-def _combination(
-    model: Model,
-    rows: Observations,
-    value: float,
-    direction: FloatArray,
-    covariance: FloatArray,
-    largest: float,
-) -> Combination:
-    singular = float(np.sqrt(value)) if value > NOTHING * max(largest, 1e-300) else 0.0
-    std = 1 / singular if singular > 0 else float("inf")
-    order = np.argsort(-np.abs(direction))
-    names = tuple(model.free[i] for i in order if abs(direction[i]) > INVOLVED)
-    return Combination(
-        names=names,
-        direction=direction,
-        singular_value=singular,
-        std=std,
-        std_with_priors=float(np.sqrt(direction @ covariance @ direction)),
-        words=_words(names, rows) if std > UNDETERMINED else "",
-    )
+    c = closure(fit.theta, rows.gaze, rows.z_mm, parameters=MODELS[fit.model].indices)
+    # F(theta, q, z) = 0 defines z, so dz = -F_theta dtheta / F_z.
+    slope = c.by_theta / (c.by_observable[:, OBSERVABLE.z] * rows.z_mm)[:, None]
+    relative = np.sqrt(np.einsum("ni,ij,nj->n", slope, covariance, slope))
+    return float(relative[kept(rows, fit)].max())
 
 
 _SYMBOLS: Mapping[str, str] = MappingProxyType({p.name: p.symbol for p in PARAMETERS})
 
+_BY_TURNING = (
+    "axis_z_mm",
+    "eccentricity_mm",
+    "encoder_scale",
+    "encoder_cos_rad",
+    "encoder_sin_rad",
+)
+"""Parameters whose effect changes with the reading: a wider range of it tells them."""
 
-def _words(names: tuple[str, ...], rows: Observations) -> str:
-    """Return what the rows cannot tell, and the next step."""
-    symbols = [_SYMBOLS[name] for name in names]
-    if len(symbols) == 1:
-        told = f"these targets say hardly anything of {symbols[0]}"
-    else:
-        told = f"these targets cannot tell {', '.join(symbols[:-1])} from {symbols[-1]}"
-    return f"{told}: {' or '.join(_remedies(names, rows))}"
+_BY_SWEEP = (
+    "eccentricity_mm",
+    "gaze_roll_rad",
+    "encoder_scale",
+    "encoder_cos_rad",
+    "encoder_sin_rad",
+)
+"""Parameters of which a yaw sweep tells."""
+
+_BY_HEIGHT = ("axis_tilt_x_rad", "axis_tilt_z_rad", "gaze_roll_rad")
+
+HALF_WIDTHS_DEG = (15.0, 20.0, 25.0, 30.0, 35.0, 40.0, 45.0, 50.0, 55.0, 60.0)
+"""Readings to either side of 90 deg that are tried as a remedy; C1 sees none beyond."""
 
 
-def _remedies(names: tuple[str, ...], rows: Observations) -> list[str]:
-    """Return what would help, the likeliest first."""
-    low, high = np.rad2deg([rows.alpha2_rad.min(), rows.alpha2_rad.max()])
-    near, far = rows.z_mm.min(), rows.z_mm.max()
+def _remedies(
+    names: tuple[str, ...], rows: Observations, fit: RobustFit, *, swept: bool
+) -> tuple[str, ...]:
+    """Return what would tell a combination, the likeliest first."""
     found = []
-    if any(name in names for name in ("eccentricity_mm", "axis_z_mm")) or any(
-        name.startswith("encoder") for name in names
-    ):
-        found.append(f"sweep wider than {low:.0f} to {high:.0f} deg")
-    if any(name in names for name in ("axis_tilt_x_rad", "axis_tilt_z_rad", "gaze_roll_rad")):
+    if any(name in names for name in _BY_TURNING):
+        found += _wider(names, rows, fit)
+    if any(name in names for name in _BY_HEIGHT):
         span = float(np.ptp(rows.y1c))
         found.append(f"place targets higher and lower (y1c spans {span:.2f} now)")
-    if "delta2_rad" in names or not found:
+    if "delta2_rad" in names:
+        near, far = rows.z_mm.min(), rows.z_mm.max()
         found.append(f"place targets nearer and farther than {near:.0f} to {far:.0f} mm")
-    prior = next((n for n in reversed(PRIOR_ORDER) if n in names), names[-1])
-    found.append(f"give a prior of {prior} in dataset.toml")
-    return found
+    if any(name in names for name in _BY_SWEEP):
+        found.append(f"take a {'wider ' if swept else ''}yaw sweep ([sweep] in dataset.toml)")
+    # Of several parameters the last in the table is the one that a drawing tells best.
+    prior = next(p.name for p in reversed(PARAMETERS) if p.name in names)
+    found.append(f"state a prior of {prior} in dataset.toml")
+    return tuple(found)
 
 
-PRIOR_ORDER = tuple(parameter.name for parameter in PARAMETERS)
-"""Of several parameters the last in the table is the one a drawing or a sweep tells best."""
+def _wider(names: tuple[str, ...], rows: Observations, fit: RobustFit) -> list[str]:
+    """Return over which readings as many targets would tell all of `names` by themselves."""
+    low, high = np.rad2deg([rows.alpha2_rad.min(), rows.alpha2_rad.max()])
+    model = MODELS[fit.model]
+    unit, wanted = beforehand(model), [model.free.index(name) for name in names]
+    each = np.eye(len(unit))[wanted]
+    for half in HALF_WIDTHS_DEG:
+        if 90 - half > low and 90 + half < high:
+            continue
+        stretched = _stretched(rows, fit, half_rad=float(np.deg2rad(half)))
+        known = Known.of(slopes(stretched, fit) * unit)
+        if known.std(each).max() <= UNDETERMINED:
+            return [
+                f"spread them over readings from {90 - half:.0f} to {90 + half:.0f} deg "
+                f"(now {low:.0f} to {high:.0f})"
+            ]
+    return []
+
+
+def _stretched(rows: Observations, fit: RobustFit, *, half_rad: float) -> Observations:
+    """Return the rows at the same depths with their readings spread to 90 deg +- `half_rad`."""
+    reading = rows.alpha2_rad
+    low, span = float(reading.min()), float(np.ptp(reading))
+    share = (reading - low) / span if span > 0 else np.linspace(0, 1, len(rows))
+    turned = replace(
+        rows,
+        alpha2_rad=np.pi / 2 + half_rad * (2 * share - 1),
+        gaze_residual_rad=np.zeros(len(rows)),
+    )
+    # The closure is linear in x1c: where it is nought C1 sees the target.
+    c = closure(fit.theta, turned.gaze, rows.z_mm, parameters=())
+    return replace(turned, x1c=rows.x1c - c.value / c.by_observable[:, OBSERVABLE.x1c])
 
 
 def _gate(model: Model, worst: float, combinations: tuple[Combination, ...]) -> Gate:
     passed = worst <= PREDICTED_LIMIT_REL
     detail = (
-        f"the parameters of {model.name} leave depth uncertain by {100 * worst:.2g} % at most "
-        f"over the rows (limit {100 * PREDICTED_LIMIT_REL:.0f} %)"
+        f"the parameters of {model.name} leave the rows' depths uncertain by {100 * worst:.2g} % "
+        f"at most (limit {100 * PREDICTED_LIMIT_REL:.0f} %)"
     )
-    words = [c.words for c in combinations if c.words]
-    if not passed and words:
-        detail += "; " + "; ".join(words)
-    return Gate(f"identifiability {model.name}", passed=passed, detail=detail)
+    words = [c.words for c in reversed(combinations) if c.words]
+    if not passed:
+        detail += "; " + ("; ".join(words) or "add targets, or state their depths more exactly")
+    return Gate("identified", passed=passed, detail=detail)

@@ -15,9 +15,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.arrays import FloatArray, IntArray
-from calib.fit.noise import EFFICIENCY, row_noise
+from calib.fit.noise import CLEAN, row_noise
+from calib.geometry.closure import closure, depth_jacobian
 from calib.geometry.parameters import Model
-from calib.geometry.plane import closure, depth_jacobian, gaze_at
+from calib.geometry.plane import gaze_at
 from calib.observations import Observations
 from calib.plan.field import Field
 
@@ -66,22 +67,26 @@ class Noise:
     ----------
     reading
         Shape (4,).
-    z_mm, z_rel
-        Of the reference depth, absolute and relative.
+    z_mm, z_rel, z_square
+        Of the reference depth z: absolute, as a share of z, and of z², 1/mm.
     """
 
     reading: FloatArray
     z_mm: float
     z_rel: float
+    z_square: float = 0.0
+
+    def of_depth(self, z: FloatArray) -> FloatArray:
+        """Return the standard uncertainty of reference depths, mm, same shape."""
+        u: FloatArray = np.hypot(np.hypot(self.z_mm, self.z_rel * z), self.z_square * z**2)
+        return u
 
 
 def rows_at(knowledge: Knowledge, points: FloatArray, noise: Noise) -> Observations:
     """Return the rows, without errors, that targets `points`, mm, shape (m, 3), would give."""
     gaze = gaze_at(knowledge.theta, points)
     z = points[:, 2]
-    std = np.column_stack(
-        [np.tile(noise.reading, (len(z), 1)), np.hypot(noise.z_mm, noise.z_rel * z)]
-    )
+    std = np.column_stack([np.tile(noise.reading, (len(z), 1)), noise.of_depth(z)])
     names = tuple(f"candidate {i + 1}" for i in range(len(z)))
     return Observations(
         ids=names,
@@ -99,7 +104,7 @@ def row_vectors(knowledge: Knowledge, rows: Observations) -> FloatArray:
     """Return g of each row, shape (m, p): its information is g g^T."""
     slope = closure(knowledge.theta, rows.gaze, rows.z_mm).by_theta
     sigma = row_noise(knowledge.theta, rows).sigma * knowledge.noise_scale
-    weight = np.sqrt(EFFICIENCY) / sigma
+    weight = np.sqrt(CLEAN.efficiency) / sigma
     vectors: FloatArray = slope[:, list(knowledge.model.indices)] * weight[:, None]
     return vectors
 
@@ -114,7 +119,7 @@ def depth_vectors(knowledge: Knowledge, field: Field, depths_mm: FloatArray) -> 
     found = np.zeros((len(depths_mm), len(ASKED_ACROSS), p))
     for i, z in enumerate(depths_mm):
         x = field.across(np.array(ASKED_ACROSS))
-        points = z * np.column_stack([x, np.zeros_like(x), np.ones_like(x)])
+        points = z * np.column_stack([x, np.full_like(x, field.level), np.ones_like(x)])
         seen = field.holds(knowledge.theta, points)
         if not seen.any():
             continue

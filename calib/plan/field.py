@@ -8,6 +8,7 @@ import numpy as np
 
 from calib.arrays import BoolArray, FloatArray
 from calib.geometry.camera import Camera, normalise
+from calib.geometry.parameters import INDEX
 from calib.geometry.plane import gaze_at
 
 FIELD_USED = 0.95
@@ -15,6 +16,17 @@ FIELD_USED = 0.95
 
 GRID_ACROSS, GRID_HIGH, GRID_DEEP = 13, 3, 12
 """Candidates across and over C1's image and in depth; finer ones change u(z) by under 2 %."""
+
+ROUNDING = 1e-9
+"""Normalised coordinates this little outside the field are on its edge, found through a depth."""
+
+CLEAR = 2.0
+"""Eccentricities that a target must be away from the yaw axis: nearer than one, no gaze plane
+reaches it, and near that it says nothing of use."""
+
+_AXIS_X, _AXIS_Z, _OFFSET = (
+    INDEX[name] for name in ("baseline_mm", "axis_z_mm", "eccentricity_mm")
+)
 
 
 @dataclass(frozen=True)
@@ -43,16 +55,26 @@ class Field:
         x: FloatArray = (low + high) / 2 + share * (high - low) / 2
         return x
 
+    @property
+    def level(self) -> float:
+        """The usable y1c nearest to C1's axis."""
+        low, high = self.y1c
+        return min(max(low, 0.0), high)
+
     def holds(self, theta: FloatArray, points: FloatArray) -> BoolArray:
         """Return which points, frame C1, mm, shape (m, 3), can be gazed at."""
         x, y = points[:, 0] / points[:, 2], points[:, 1] / points[:, 2]
-        inside = (x >= self.x1c[0]) & (x <= self.x1c[1])
-        inside &= (y >= self.y1c[0]) & (y <= self.y1c[1])
-        reading = gaze_at(theta, points).alpha2
-        inside &= (reading >= self.yaw_rad[0]) & (reading <= self.yaw_rad[1])
+        inside = (x >= self.x1c[0] - ROUNDING) & (x <= self.x1c[1] + ROUNDING)
+        inside &= (y >= self.y1c[0] - ROUNDING) & (y <= self.y1c[1] + ROUNDING)
         # C2 looks straight at the target: its distance is that from the yaw axis, near enough.
-        away = np.hypot(points[:, 0] - theta[0], points[:, 2])
-        held: BoolArray = inside & (np.abs(points[:, 1]) <= self.half_height_c2 * away)
+        axis_x, axis_z, offset = theta[[_AXIS_X, _AXIS_Z, _OFFSET]]
+        away = np.hypot(points[:, 0] - axis_x, points[:, 2] - axis_z)
+        inside &= np.abs(points[:, 1]) <= self.half_height_c2 * away
+        # A target at the axis itself is gazed at by no reading.
+        inside &= away > CLEAR * np.abs(offset)
+        reading = gaze_at(theta, points[inside]).alpha2
+        held: BoolArray = inside.copy()
+        held[inside] = (reading >= self.yaw_rad[0]) & (reading <= self.yaw_rad[1])
         return held
 
     def grid(self, theta: FloatArray, depths_mm: tuple[float, float], *, high: bool) -> FloatArray:
@@ -63,11 +85,11 @@ class Field:
         Parameters
         ----------
         high
-            Whether targets off the plane y1c = 0 are of use to the model.
+            Whether targets at several heights are of use to the model; else all are at `level`.
         """
         z = 1 / np.linspace(1 / depths_mm[0], 1 / depths_mm[1], GRID_DEEP)
         x = np.linspace(*self.x1c, GRID_ACROSS)
-        y = np.linspace(*self.y1c, GRID_HIGH) if high else np.zeros(1)
+        y = np.linspace(*self.y1c, GRID_HIGH) if high else np.array([self.level])
         each = np.stack(np.meshgrid(x, y, z, indexing="ij"), axis=-1).reshape(-1, 3)
         points = each[:, 2:] * np.column_stack([each[:, :2], np.ones(len(each))])
         return points[self.holds(theta, points)]

@@ -10,10 +10,12 @@ import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from calib.arrays import FloatArray
 from calib.errors import UsageError
 from calib.plan.advise import Advice, Targets
+from calib.plan.prepare import Start
 
 INK, MUTED, BLUE, RED = "#1b1b1b", "#6b6b6b", "#0072B2", "#D55E00"
 
@@ -22,6 +24,10 @@ _MEANING = {
     "G": "least u(z) at the asked depths",
     "D": "least uncertainty of all parameters together",
 }
+
+MANY_TIMES = 10.0
+"""Ratio of the largest to the smallest u(z) beyond which a linear axis shows the small ones no
+more."""
 
 _STYLE: Any = {
     "font.size": 8.0,
@@ -47,13 +53,26 @@ def picture_format(path: Path) -> str:
     return kind
 
 
-def text(advice: Advice) -> str:
-    """Return the advice as a table for the terminal."""
-    lines = [f"model {advice.model}; u(z) from the parameters alone, averaged across C1's field"]
-    lines.append(f"{'':10s}" + "".join(f"{f'u({z:g})':>12s}" for z in advice.depths_mm) + "   mm")
-    lines.append(_line("now", advice.before_rel * advice.depths_mm))
+def text(advice: Advice, start: Start) -> str:
+    """Return the advice as a table for the terminal, with what it rests on."""
+    so_far = len(start.points_mm)
+    near, far = start.between_mm
+    low, high = np.rad2deg(start.field.yaw_rad)
+    lines = [
+        f"model {advice.model}, {so_far or 'no'} row{'s' * (so_far != 1)} so far; "
+        f"targets from {near:.0f} to {far:.0f} mm, readings from {low:.0f} to {high:.0f} deg",
+        *(f"note: {note}" for note in start.notes),
+        "",
+        "u(z), mm, from the parameters alone, root mean square across C1's field",
+        f"{'':10s}" + "".join(f"{f'u({z:g})':>12s}" for z in advice.depths_mm),
+        _line("now", advice.before_rel, advice),
+    ]
     count = len(next(iter(advice.targets.values())).points_mm)
-    lines.append(_line(f"{count} random", advice.random_rel * advice.depths_mm))
+    lines.append(_line(f"{count} random", advice.random_rel, advice))
+    lines += [
+        _line(f"{count} {name}-opt.", targets.u_rel[-1], advice)
+        for name, targets in advice.targets.items()
+    ]
     for name, targets in advice.targets.items():
         lines += ["", f"{name}-optimal targets, {_MEANING[name]}; u(z) after each, mm"]
         lines.append(
@@ -64,8 +83,16 @@ def text(advice: Advice) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _line(name: str, u_mm: FloatArray) -> str:
-    return f"{name:10s}" + "".join(f"{u:12.3g}" for u in u_mm)
+def _line(name: str, u_rel: FloatArray, advice: Advice) -> str:
+    return f"{name:10s}" + _figures(u_rel, advice)
+
+
+def _figures(u_rel: FloatArray, advice: Advice) -> str:
+    """Return u(z) of each asked depth, mm, or that it is not known where it exceeds the depth."""
+    return "".join(
+        f"{u * z:12.3g}" if u < 1 else f"{'unknown':>12s}"
+        for u, z in zip(u_rel, advice.depths_mm, strict=True)
+    )
 
 
 def _targets(advice: Advice, targets: Targets) -> list[str]:
@@ -73,8 +100,7 @@ def _targets(advice: Advice, targets: Targets) -> list[str]:
     for i, (x, y, z) in enumerate(targets.points_mm):
         angle = np.rad2deg(targets.alpha2_rad[i])
         place = f"{i + 1:<4d}{x:8.0f}{y:8.0f}{z:8.0f}{targets.x1c[i]:9.3f}{angle:12.2f}"
-        u = targets.u_rel[i] * advice.depths_mm
-        lines.append(place + "".join(f"{value:12.3g}" for value in u))
+        lines.append(place + _figures(targets.u_rel[i], advice))
     return lines
 
 
@@ -110,11 +136,24 @@ def _from_above(axes: Axes, advice: Advice, rows_mm: FloatArray) -> None:
         x, z = targets.points_mm[:, 0], targets.points_mm[:, 2]
         axes.scatter(x, z, s=size, marker=marker, facecolors="none", edgecolors=colour,
                      label=f"{name}-optimal")  # fmt: skip
-    for depth in advice.depths_mm:
-        axes.axhline(depth, color=MUTED, lw=0.7, ls=":")
+    _number(axes, advice.targets["G"])
+    for i, depth in enumerate(advice.depths_mm):
+        axes.axhline(depth, color=MUTED, lw=0.7, ls=":", label=None if i else "asked depth")
     axes.set_xlabel("X of C1, mm")
     axes.set_ylabel("Z of C1, mm")
     axes.legend(loc="best", fontsize=7)
+
+
+def _number(axes: Axes, targets: Targets) -> None:
+    """Write the numbers of targets beside them, those of one place together."""
+    places: dict[tuple[float, float], list[str]] = {}
+    for i, (x, _, z) in enumerate(targets.points_mm):
+        places.setdefault((float(x), float(z)), []).append(str(i + 1))
+    for place, numbers in places.items():
+        axes.annotate(
+            ", ".join(numbers), place, xytext=(5, 4), textcoords="offset points",
+            fontsize=7, color=_LOOKS["G"][0],
+        )  # fmt: skip
 
 
 def _by_count(axes: Axes, advice: Advice) -> None:
@@ -122,10 +161,20 @@ def _by_count(axes: Axes, advice: Advice) -> None:
     for name, targets in advice.targets.items():
         greatest = np.concatenate([[advice.before_rel.max()], targets.u_rel.max(axis=1)])
         colour, marker, _ = _LOOKS[name]
-        axes.plot(100 * greatest, marker + "-", ms=4, color=colour, label=f"{name}-optimal")
+        shown = 100 * np.where(greatest < 1, greatest, np.nan)
+        axes.plot(shown, marker + "-", ms=4, color=colour, label=f"{name}-optimal")
     count = len(next(iter(advice.targets.values())).points_mm)
-    axes.plot(count, 100 * advice.random_rel.max(), "*", color=MUTED, label="random, median")
-    axes.set_yscale("log")
+    random = advice.random_rel.max()
+    if random < 1:
+        axes.plot(count, 100 * random, "*", color=MUTED, label="random, median")
+    axes.set_xlim(-0.04 * count, 1.04 * count)
+    known = [u for t in advice.targets.values() for u in t.u_rel.max(axis=1) if u < 1]
+    if known and max(known) > MANY_TIMES * min(known):
+        axes.set_yscale("log")
+        axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    else:
+        axes.set_ylim(bottom=0)
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.set_xlabel("new targets")
     axes.set_ylabel("greatest u(z) / z at the asked depths, %")
     axes.legend(loc="best", fontsize=7)

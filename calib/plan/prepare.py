@@ -1,4 +1,4 @@
-"""From a dataset to what the advice starts from."""
+"""From what is known so far to what the advice starts from."""
 
 from __future__ import annotations
 
@@ -8,16 +8,23 @@ import numpy as np
 
 from calib.arrays import FloatArray
 from calib.dataset.contents import Dataset
-from calib.errors import UsageError
-from calib.fit.identifiability import row_information
-from calib.fit.priors import Priors, prior_of
-from calib.fit.robust import fit_model
-from calib.geometry.parameters import MODELS, Model, vector
+from calib.dataset.manifest import DEFAULT_U_X1C
+from calib.errors import EstimationError, UsageError
+from calib.fit.information import row_information
+from calib.fit.priors import NormalKnowledge, Priors, measured_of, prior_of
+from calib.fit.robust import fit_robust, too_much
+from calib.fit.start import first_guess
+from calib.geometry.parameters import INDEX, MODELS, Model, embed
 from calib.geometry.plane import OBSERVABLE
 from calib.observations import Observations
-from calib.observe import CameraSet, Setup, observe, row_settings
-from calib.plan.design import Knowledge, Noise
+from calib.observe import RowSettings, row_settings
+from calib.plan.design import Knowledge, Noise, row_vectors
 from calib.plan.field import Field, field_of
+from calib.plan.sofar import SoFar
+
+ASSUMED_U_Z_REL = 0.002
+"""Relative uncertainty of a reference depth where no [gaze] states one: a laser distance meter, or
+stereo with a baseline of a decimetre, at a metre."""
 
 
 @dataclass(frozen=True)
@@ -32,6 +39,8 @@ class Start:
         Depths at which targets can be put.
     points_mm
         Targets of the rows so far, frame C1, shape (n, 3).
+    notes
+        What had to be assumed.
     """
 
     knowledge: Knowledge
@@ -39,10 +48,12 @@ class Start:
     noise: Noise
     between_mm: tuple[float, float]
     points_mm: FloatArray
+    notes: tuple[str, ...]
 
 
 def prepare(
     dataset: Dataset,
+    so_far: SoFar,
     *,
     model: str,
     asked_mm: FloatArray,
@@ -54,73 +65,155 @@ def prepare(
     Raises
     ------
     UsageError
-        If the model is unknown, or without rows the manifest does not say how uncertain they will
-        be, what the baseline is or where C1 looks.
-    EstimationError
-        If the rows cannot carry the model.
+        If the model is unknown, or without rows it is not known what the baseline is, where C1
+        looks, or at which depths targets can be put.
     """
     if model not in MODELS:
         raise UsageError(f"--model {model}: unknown; choose from {', '.join(MODELS)}")
+    rows = so_far.rows
     stated = {name: (prior.mean, prior.std) for name, prior in dataset.manifest.priors.items()}
-    priors, cameras = Priors(stated), dataset.cameras
-    if dataset.manifest.gaze is None or dataset.manifest.encoder is None:
-        raise UsageError(
-            f"{dataset.root}: without [gaze] and [encoder] in dataset.toml it is not known how "
-            "uncertain a row will be; add them, the table may be empty of rows but for its head"
-        )
-    settings = row_settings(dataset)
-    rows = None
-    if dataset.gaze is not None and len(dataset.gaze):
-        setup = Setup(settings, CameraSet(cameras.get("c1"), cameras.get("c2")))
-        rows = observe(dataset.gaze, setup, None)
-        _refuse_images(dataset, rows)
-    knowledge = _knowledge(MODELS[model], priors, rows)
+    priors = Priors(stated, so_far.measured)
+    settings, notes = _settings(dataset)
+    if rows is None:
+        knowledge = _from_priors(MODELS[model], priors, so_far.baseline_mm)
+        points = np.zeros((0, 3))
+    else:
+        knowledge, more = _from_rows(MODELS[model], priors, rows)
+        notes += more
+        if rows.shared_names:
+            notes += ("errors that all rows share, of intrinsics and stereo, come on top of u(z)",)
+        points = rows.z_mm[:, None] * np.column_stack([rows.x1c, rows.y1c, np.ones(len(rows))])
+    field, unseen = _field(so_far, yaw_deg)
+    return Start(
+        knowledge=knowledge,
+        field=field,
+        noise=_noise(settings, rows),
+        between_mm=targets_mm or _between(points[:, 2], asked_mm),
+        points_mm=points,
+        notes=notes + unseen,
+    )
+
+
+def _field(so_far: SoFar, yaw_deg: tuple[float, float]) -> tuple[Field, tuple[str, ...]]:
+    """Return where targets can be seen and gazed at, and what had to be assumed."""
+    rows, cameras = so_far.rows, so_far.cameras
+    notes: tuple[str, ...] = ()
+    if cameras.c1 is None:
+        if rows is None:
+            raise UsageError(
+                "without gaze rows it is not known where C1 looks; give [cameras.c1] in "
+                "dataset.toml, with matrix and image_size, a model file or images"
+            )
+        notes = ("C1's lens is not known: targets stay within the x1c and y1c of the rows so far",)
+    nothing = np.zeros(0)
     field = field_of(
-        cameras.get("c1"),
-        cameras.get("c2"),
-        seen_x1c=np.zeros(0) if rows is None else rows.x1c,
-        seen_y1c=np.zeros(0) if rows is None else rows.y1c,
+        cameras.c1,
+        cameras.c2,
+        seen_x1c=nothing if rows is None else rows.x1c,
+        seen_y1c=nothing if rows is None else rows.y1c,
         yaw_rad=(float(np.deg2rad(yaw_deg[0])), float(np.deg2rad(yaw_deg[1]))),
     )
+    return field, notes
+
+
+def _between(seen_mm: FloatArray, asked_mm: FloatArray) -> tuple[float, float]:
+    every = np.concatenate([seen_mm, asked_mm])
+    near, far = float(every.min()), float(every.max())
+    if near == far:
+        raise UsageError(
+            f"targets at {near:g} mm alone tell little; say at which depths they can be put: "
+            "--targets NEAR FAR"
+        )
+    return near, far
+
+
+def _settings(dataset: Dataset) -> tuple[RowSettings, tuple[str, ...]]:
+    """Return how uncertain a row will be, and what had to be assumed for it."""
+    if dataset.manifest.encoder is None:
+        raise UsageError(
+            f"{dataset.root}: without [encoder] in dataset.toml it is not known how uncertain a "
+            "row will be; add it, with resolution_deg"
+        )
+    if dataset.manifest.gaze is not None:
+        return row_settings(dataset), ()
+    encoder = dataset.manifest.encoder
+    assumed = RowSettings(
+        u_x1c=DEFAULT_U_X1C,
+        u_z_mm=0.0,
+        u_z_rel=ASSUMED_U_Z_REL,
+        encoder_step_rad=float(np.deg2rad(encoder.resolution_deg)),
+        u_alpha2_rad=float(np.deg2rad(encoder.u_alpha2_deg)),
+    )
+    note = (
+        f"no [gaze] in dataset.toml: u(x1c) = {DEFAULT_U_X1C:g} and u(z) = "
+        f"{100 * ASSUMED_U_Z_REL:g} % of z are assumed of the rows to come"
+    )
+    return assumed, (note,)
+
+
+def _noise(settings: RowSettings, rows: Observations | None) -> Noise:
+    """Return the uncertainty of a row to come: that of the rows so far, or as stated."""
     if rows is None:
         reading = np.zeros(OBSERVABLE.z)
         reading[OBSERVABLE.x1c] = reading[OBSERVABLE.y1c] = settings.u_x1c
         step = settings.encoder_step_rad / np.sqrt(12)
         reading[OBSERVABLE.alpha2] = np.hypot(step, settings.u_alpha2_rad)
-        points = np.zeros((0, 3))
+        return Noise(reading, settings.u_z_mm, settings.u_z_rel)
+    reading = np.median(rows.std[:, : OBSERVABLE.z], axis=0)
+    return Noise(reading, *_depth_noise(rows.z_mm, rows.std[:, OBSERVABLE.z]))
+
+
+def _depth_noise(z_mm: FloatArray, u_mm: FloatArray) -> tuple[float, float, float]:
+    """Return u(z), u(z) / z and u(z) / z² of the rows' references: the one that varies least.
+
+    A ruler has the first, a laser distance meter the second, stereo the third; the others are 0.
+    """
+    if not (u_mm > 0).all():
+        return float(np.median(u_mm)), 0.0, 0.0
+    logs = [np.log(u_mm) - power * np.log(z_mm) for power in range(3)]
+    best = int(np.argmin([np.std(log) for log in logs]))
+    size = float(np.exp(np.median(logs[best])))
+    mm, rel, square = (size if best == power else 0.0 for power in range(3))
+    return mm, rel, square
+
+
+def _known(model: Model, priors: Priors) -> NormalKnowledge:
+    """Return what is known without rows: priors and the sweep."""
+    return prior_of(model, priors) + measured_of(model, priors)
+
+
+def _from_rows(
+    model: Model, priors: Priors, rows: Observations
+) -> tuple[Knowledge, tuple[str, ...]]:
+    """Return what rows, sweep and priors say together, and what had to be assumed."""
+    precision = _known(model, priors).precision
+    reason = too_much(rows, model)
+    try:
+        fit = fit_robust(rows, model, priors)
+    except EstimationError as error:
+        reason = reason or str(error)
+        theta = first_guess(rows)
     else:
-        reading = np.median(rows.std[:, : OBSERVABLE.z], axis=0)
-        points = rows.z_mm[:, None] * np.column_stack([rows.x1c, rows.y1c, np.ones(len(rows))])
-    every = np.concatenate([points[:, 2], asked_mm])
-    return Start(
-        knowledge=knowledge,
-        field=field,
-        noise=Noise(reading, settings.u_z_mm, settings.u_z_rel),
-        between_mm=targets_mm or (float(every.min()), float(every.max())),
-        points_mm=points,
-    )
+        theta = fit.theta
+        if reason is None:
+            information = row_information(rows, fit) + precision
+            return Knowledge(model, theta, information, fit.noise_scale), ()
+    # Too few rows to judge their noise: as stated, it will do to tell where more belong.
+    before = Knowledge(model, theta, precision)
+    slope = row_vectors(before, rows)
+    note = f"too little for {model.name} yet ({reason}): uncertainties are taken as stated"
+    return Knowledge(model, theta, slope.T @ slope + precision), (note,)
 
 
-def _refuse_images(dataset: Dataset, rows: Observations) -> None:
-    known = np.isfinite(rows.x1c) & np.isfinite(rows.z_mm) & np.isfinite(rows.std).all(axis=1)
-    if not known.all():
-        raise UsageError(
-            f"{dataset.root}: row {rows.ids[int(np.argmin(known))]} of the gaze table needs images "
-            "to be measured; plan reads tables alone: give x1c (or u1_px) and z_mm there"
-        )
-
-
-def _knowledge(model: Model, priors: Priors, rows: Observations | None) -> Knowledge:
-    """Return what rows and priors say together."""
-    prior = prior_of(model, priors)
-    if rows is not None:
-        fit = fit_model(rows, priors, model=model.name)
-        information = row_information(rows, fit) + prior.precision
-        return Knowledge(model, fit.theta, information, fit.noise_scale)
+def _from_priors(model: Model, priors: Priors, baseline_mm: float | None) -> Knowledge:
+    """Return what priors and sweep say together; the baseline perhaps from the stereo reference."""
+    known = _known(model, priors)
+    mean = np.linalg.pinv(known.precision, hermitian=True) @ known.shift
     if "baseline_mm" not in priors.stated:
-        raise UsageError(
-            "without gaze rows the plan needs a prior of baseline_mm in dataset.toml: what a ruler "
-            "says will do"
-        )
-    means = {name: mean for name, (mean, _) in priors.stated.items() if name in model.free}
-    return Knowledge(model, vector(means), prior.precision)
+        if baseline_mm is None:
+            raise UsageError(
+                "without gaze rows the plan needs a prior of baseline_mm in dataset.toml: what a "
+                "ruler says will do"
+            )
+        mean[model.indices.index(INDEX["baseline_mm"])] = baseline_mm
+    return Knowledge(model, embed(mean, model.free), known.precision)

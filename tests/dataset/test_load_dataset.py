@@ -21,6 +21,7 @@ from calib.dataset.faults import parse_manifest
 from calib.dataset.load import check_dataset, load_dataset
 from calib.dataset.manifest import Manifest
 from calib.dataset.readers import read_gaze, read_lengths, read_measurements, read_sweep
+from calib.errors import InputError
 
 PNG = b"\x89PNG, only looked at by the detector"
 GIVEN_CAMERA = MANIFEST[MANIFEST.index("[cameras.c1]") : MANIFEST.index("[encoder]")]
@@ -220,6 +221,21 @@ def test_intrinsics_alone_are_a_dataset(tmp_path: Path) -> None:
     dataset = load_dataset(image_dataset(tmp_path, manifest))
     assert dataset.gaze is None
     assert len(dataset.stereo_pairs) == 5
+
+
+def test_rows_to_come_may_be_few_or_none(tmp_path: Path) -> None:
+    """For a plan; a calibration still refuses them, and a plan every other fault."""
+    header, *rows = GAZE.splitlines(keepends=True)
+    for count in (0, 2):
+        few = {"gaze__csv": header + "".join(rows[:count])}
+        folder = write_dataset(tmp_path / f"few{count}", **few)
+        gaze = load_dataset(folder, rows_to_come=True).gaze
+        assert (0 if gaze is None else len(gaze)) == count
+        with pytest.raises(InputError, match=r"gaze\.csv"):
+            load_dataset(folder)
+    bad = write_dataset(tmp_path / "bad", gaze__csv=header + rows[0].replace(",", ",x", 1))
+    with pytest.raises(InputError, match=r"gaze\.csv, line 2"):
+        load_dataset(bad, rows_to_come=True)
 
 
 def test_cached_corners_stand_in_for_images(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.random import SeedSequence
 
 from calib.arrays import BoolArray, FloatArray, IntArray
-from calib.fit.posterior import Posterior
+from calib.fit.posterior import Posterior, Progress
 from calib.fit.robust import RobustFit
 from calib.geometry.plane import OBSERVABLE, Gaze, depth, gaze_at
 from calib.observations import Observations
@@ -26,7 +26,12 @@ from calib.uncertainty.measurement import (
     Spread,
 )
 from calib.uncertainty.montecarlo import NORMAL_FACTOR
-from calib.uncertainty.predictive import DepthPrediction, predict_depths
+from calib.uncertainty.predictive import (
+    DepthPrediction,
+    depth_sources,
+    linear_positions,
+    predict_depths,
+)
 
 GRID_POINTS = 21
 """Depths of the uncertainty table."""
@@ -46,9 +51,9 @@ class CalibratedInstrument:
         Parameters with their joint distribution, and the errors of a reading.
     noise_factor
         By how much the stated uncertainties of a reading were widened: the root mean square of
-        the noise scale where it is above 1. The rows may prove the stated uncertainties too
-        small; that they are too large is not believed of a reading, since the reference depths
-        may be what is better than stated.
+        the noise scale, at least 1. The rows may prove the stated uncertainties too small; that
+        they are too large is not believed of a reading, since the reference depths may be what is
+        better than stated.
     calibrated_mm
         Least and greatest reference depth of the rows, shape (2,).
     setup
@@ -86,11 +91,12 @@ def build_instrument(
     posterior: Posterior, fit: RobustFit, rows: Observations, setup: Setup
 ) -> CalibratedInstrument:
     """Return the instrument of the selected model."""
-    return instrument_from_draws(posterior.flat, fit, rows, setup)
+    common = posterior.common.reshape(len(posterior.flat), -1)
+    return instrument_from_draws(posterior.flat, common, fit, rows, setup)
 
 
 def instrument_from_draws(
-    draws: FloatArray, fit: RobustFit, rows: Observations, setup: Setup
+    draws: FloatArray, common: FloatArray, fit: RobustFit, rows: Observations, setup: Setup
 ) -> CalibratedInstrument:
     """Return the instrument that draws from a posterior describe.
 
@@ -99,14 +105,17 @@ def instrument_from_draws(
     draws
         Of equal weight, shared errors included: free parameters, then the logarithm of the noise
         scale, shape (m, p + 1).
+    common
+        The shared standard-normal errors that went with each draw, shape (m, k).
     fit
         The robust fit of the same model.
     """
-    factor = float(np.sqrt(np.mean(np.maximum(np.exp(2 * draws[:, -1]), 1.0))))
+    factor = max(1.0, float(np.sqrt(np.mean(np.exp(2 * draws[:, -1])))))
+    own = draws[:, :-1] - common @ fit.by_shared.T
     parameters = ParameterKnowledge(
         names=fit.names,
-        values=draws[:, :-1].mean(axis=0),
-        covariance=np.cov(draws[:, :-1], rowvar=False),
+        values=own.mean(axis=0),
+        covariance=np.cov(own, rowvar=False) + fit.by_shared @ fit.by_shared.T,
         degrees_of_freedom=None,
         evaluation=tuple(_EVALUATION[who] for who in fit.identified_by),
         draws=draws[:, :-1],
@@ -122,12 +131,12 @@ def instrument_from_draws(
         alpha2_rad=Spread(normal=factor * setup.settings.u_alpha2_rad, width=factor * step),
         gaze_residual_rad=Spread(normal=factor * residual),
     )
-    common = None
+    shared = None
     if rows.shared_names:
-        common = SharedErrors(names=rows.shared_names, with_parameters=fit.by_shared)
+        shared = SharedErrors(rows.shared_names, with_parameters=fit.by_shared, own_draws=own)
     return CalibratedInstrument(
         model=fit.model,
-        instrument=Instrument(parameters, reading, common),
+        instrument=Instrument(parameters, reading, shared),
         noise_factor=factor,
         calibrated_mm=np.array([rows.z_mm.min(), rows.z_mm.max()]),
         setup=setup,
@@ -150,12 +159,15 @@ class DepthTable:
         Half width of the 95 % interval of 1 / z over its linear standard uncertainty: the largest
         of the calibrated depths, at least 1.96. Inverse depth is nearly normal where depth itself
         is skewed: `calib measure` makes its intervals with it.
+    sources_mm
+        What each source contributes to the linear standard uncertainty, by name, shape (n,) each.
     """
 
     depth_mm: FloatArray
     prediction: DepthPrediction
     extrapolated: BoolArray
     factor95: float
+    sources_mm: Mapping[str, FloatArray]
 
 
 def tabulate_depths(
@@ -170,15 +182,12 @@ def tabulate_depths(
     z = np.linspace(low_mm, high_mm, points)
     targets = np.stack([np.zeros_like(z), np.zeros_like(z), z], axis=1)
     gaze = gaze_at(calibrated.instrument.theta, targets)
-    prediction = predict_depths(
-        calibrated.instrument,
-        gaze,
-        np.random.default_rng(seed),
-        loadings=calibrated.loadings(gaze),
-    )
+    instrument, loadings = calibrated.instrument, calibrated.loadings(gaze)
+    prediction = predict_depths(instrument, gaze, np.random.default_rng(seed), loadings=loadings)
+    sources = depth_sources(instrument, linear_positions(instrument, gaze, loadings))
     low, high = calibrated.calibrated_mm
     outside = (z < low) | (z > high)
-    return DepthTable(z, prediction, outside, _factor95(prediction, ~outside))
+    return DepthTable(z, prediction, outside, _factor95(prediction, ~outside), sources)
 
 
 def _factor95(p: DepthPrediction, inside: BoolArray) -> float:
@@ -251,13 +260,18 @@ def measure_validation(
     fits: Mapping[str, RobustFit],
     *,
     seed: SeedSequence,
+    progress: Progress | None = None,
 ) -> ValidationResult:
     """Return what the instrument measures on the validation rows."""
     rows, source = validation.rows, validation.depth_of
     loadings = rows.shared[source, : OBSERVABLE.z] if rows.shared_names else None
     used = rows.take(source)
     prediction = predict_depths(
-        calibrated.instrument, used.gaze, np.random.default_rng(seed), loadings=loadings
+        calibrated.instrument,
+        used.gaze,
+        np.random.default_rng(seed),
+        loadings=loadings,
+        progress=progress,
     )
     z = prediction.z_mm
     first = _agreement_with("reference", z, rows.z_mm, rows.std[:, OBSERVABLE.z])
@@ -330,14 +344,16 @@ SPREAD_ROWS = 3
 def spread_by_group(validation: ValidationResult) -> tuple[GroupSpread, ...]:
     """Return the spread over each group of `SPREAD_ROWS` rows or more."""
     found = []
-    for group in dict.fromkeys(validation.groups):
-        rows = np.array([g == group for g in validation.groups])
-        if rows.sum() < SPREAD_ROWS:
+    members: dict[str, list[int]] = {}
+    for i, group in enumerate(validation.groups):
+        members.setdefault(group, []).append(i)
+    for group, rows in members.items():
+        if len(rows) < SPREAD_ROWS:
             continue
         reference = validation.reference_mm[rows]
         spread = {
             model: float(np.std(z[rows] - reference, ddof=1))
             for model, z in validation.own_depth_mm.items()
         }
-        found.append(GroupSpread(group, int(rows.sum()), float(reference.mean()), spread))
+        found.append(GroupSpread(group, len(rows), float(reference.mean()), spread))
     return tuple(found)

@@ -7,17 +7,16 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from calib.certificate.data import Annex, Table
+from calib.certificate.budgets import budgets
+from calib.certificate.data import NONE, Annex, Table
 from calib.certificate.inputs import CalibrationSummary, CertificateInputs, Evidence, Provenance
-from calib.certificate.numbers import check_error, depth_line, length_result, symbol
+from calib.certificate.numbers import check_error, depth_line, length_result, listed_checks
 from calib.certificate.wording import EXTRAPOLATED, LENGTHS_NOTE, VERDICTS, clean
 from calib.gates import Gate
 from calib.geometry.parameters import INDEX, PARAMETERS
-from calib.uncertainty.budget import Budget, BudgetRow, CorrelationRow
 from calib.uncertainty.certified import CertifiedDepth, CheckedDepth
 from calib.uncertainty.depth import DepthUncertainty
 from calib.uncertainty.format import (
-    SHOWN,
     at_place,
     fixed,
     interval,
@@ -29,21 +28,12 @@ from calib.uncertainty.format import (
 )
 from calib.uncertainty.lengths import LengthError
 
-NEARLY_ONE = 0.99
-"""Correlations beyond it are printed with more digits."""
-
-SLIGHT_PERCENT = 0.05
-"""Inputs and pairs with a smaller share, which would print as 0.0, are summed in one row."""
-
-NONE = "-"
-"""Of a cell that has nothing to say."""
-
 
 def annexes(inputs: CertificateInputs) -> tuple[Annex, ...]:
     """Return all annexes that the data have something for."""
     evidence, calibration = inputs.evidence, inputs.calibration
     found = [
-        _budgets(evidence.depths),
+        budgets(evidence.depths, cameras=calibration.instrument.shared is not None),
         _monte_carlo(evidence.depths),
         _positions(evidence.depths),
         _checks(evidence),
@@ -52,117 +42,6 @@ def annexes(inputs: CertificateInputs) -> tuple[Annex, ...]:
         _provenance(inputs.provenance, inputs.gates),
     ]
     return tuple(annex for annex in found if annex is not None)
-
-
-def _budgets(depths: Sequence[CertifiedDepth]) -> Annex | None:
-    if not depths:
-        return None
-    return Annex(
-        title="Uncertainty budgets",
-        introduction=(
-            "JCGM 100. Sensitivities are derivatives of depth at the stated ray. A correlated pair "
-            "has a row of its own, negative where errors cancel. Shares add up to 100 % before "
-            "rounding."
-        ),
-        tables=tuple(_budget(d.result) for d in depths),
-    )
-
-
-def _budget(r: DepthUncertainty) -> Table:
-    b = r.budget
-    rows = [*_input_rows(b.rows), *_pair_rows(b.correlations)]
-    u = with_uncertainty(b.estimate, b.standard_uncertainty)
-    rows.append(("depth z", f"{u.value} mm", f"{u.uncertainty} mm", *[NONE] * 5, "100.0"))
-    return Table(
-        title=f"Depth {u.value} mm at x1c = {fixed(r.x1c, 3)}",
-        columns=(
-            "Quantity", "Estimate", "u", "Type", "Distribution", "ν", "Sensitivity",
-            "|c| u / mm", "Share / %",
-        ),
-        rows=tuple(rows),
-        note=f"{_together(b)} {_freedom(b)}",
-        words=(0, 3, 4),
-    )  # fmt: skip
-
-
-def _input_rows(inputs: Sequence[BudgetRow]) -> list[tuple[str, ...]]:
-    """Return a row an input; those without weight share one, unless they are parameters."""
-    weighty = [r.share_percent >= SLIGHT_PERCENT or r.input.name in INDEX for r in inputs]
-    rows = [_budget_row(r) for r, shown in zip(inputs, weighty, strict=True) if shown]
-    rest = [r.share_percent for r, shown in zip(inputs, weighty, strict=True) if not shown]
-    return [*rows, *_further(rest, "input")]
-
-
-def _further(shares: Sequence[float], what: str) -> list[tuple[str, ...]]:
-    """Return one row for all that is too slight for its own, if there is any."""
-    if not shares:
-        return []
-    words = f"{len(shares)} further {what}{'s' * (len(shares) > 1)}"
-    return [(words, *[NONE] * 7, fixed(sum(shares), 1))]
-
-
-def _pair_rows(pairs: Sequence[CorrelationRow]) -> list[tuple[str, ...]]:
-    """Return a row a pair; those without weight share one."""
-    rows = []
-    for pair in pairs:
-        if abs(pair.share_percent) >= SLIGHT_PERCENT:
-            both = f"r({symbol(pair.first)}, {symbol(pair.second)})"
-            share = fixed(pair.share_percent, 1)
-            rows.append((both, _coefficient(pair.correlation), *[NONE] * 6, share))
-    rest = [p.share_percent for p in pairs if abs(p.share_percent) < SLIGHT_PERCENT]
-    return [*rows, *_further(rest, "pair")]
-
-
-def _budget_row(row: BudgetRow) -> tuple[str, ...]:
-    q, shown = row.input, SHOWN[row.input.unit]
-    both = with_uncertainty(q.estimate * shown.factor, q.standard_uncertainty * shown.factor)
-    unit = "" if shown.unit == "1" else f" {shown.unit}"
-    per = "mm" if shown.unit == "1" else f"mm/{shown.unit}"
-    return (
-        symbol(q.name),
-        both.value + unit,
-        both.uncertainty + unit,
-        q.evaluation,
-        q.distribution,
-        _count(q.degrees_of_freedom),
-        f"{significant(q.sensitivity / shown.factor)} {per}",
-        significant(row.contribution),
-        fixed(row.share_percent, 1),
-    )
-
-
-def _coefficient(r: float) -> str:
-    """Return a correlation coefficient; near one the distance from one is what matters."""
-    return fixed(r, 5 if abs(r) > NEARLY_ONE else 3)
-
-
-def _count(freedom: float | None) -> str:
-    """Return degrees of freedom, rounded down."""
-    if freedom is None:
-        return NONE
-    return "∞" if math.isinf(freedom) else str(math.floor(freedom + 1e-9))
-
-
-def _together(b: Budget) -> str:
-    """Return the share of the calibration as a whole: those of its parameters may be huge."""
-    fitted = {row.input.name for row in b.rows if row.input.estimated_with is not None}
-    share = sum(row.share_percent for row in b.rows if row.input.name in fitted)
-    share += sum(
-        pair.share_percent for pair in b.correlations if {pair.first, pair.second} <= fitted
-    )
-    return (
-        f"All inputs of the calibration together: {fixed(share, 1)} %, the reading: "
-        f"{fixed(100 - share, 1)} %."
-    )
-
-
-def _freedom(b: Budget) -> str:
-    if b.coverage_factor is None or b.degrees_of_freedom is None:
-        return f"Effective degrees of freedom {b.freedom_note}; no coverage factor is given."
-    return (
-        f"Effective degrees of freedom {_count(b.degrees_of_freedom)} ({b.freedom_note}); "
-        f"k = {fixed(b.coverage_factor, 2)} for 95 %."
-    )
 
 
 def _monte_carlo(depths: Sequence[CertifiedDepth]) -> Annex | None:
@@ -266,27 +145,32 @@ def _positions(depths: Sequence[CertifiedDepth]) -> Annex | None:
 def _checks(evidence: Evidence) -> Annex | None:
     if not evidence.checks:
         return None
+    listed = listed_checks(evidence.checks)
+    judged = any(c.conformity is not None for c in listed)
+    columns = [
+        "Point", "Reference / mm", "Measured / mm", "95 % interval / mm", "Error / mm", "U / mm",
+        "Error / %", *(["Conformance / %"] if judged else []), "Statement",
+    ]  # fmt: skip
+    some = f" The {len(listed)} worst are listed." if len(listed) < len(evidence.checks) else ""
     return Annex(
         title="Independent check",
         introduction=(
             f"Reference: {clean(evidence.check_reference)}. None of these points took part in the "
             "calibration. U is the 95 % uncertainty of the error, that of the reference included."
+            f"{some}"
         ),
         tables=(
             Table(
                 title="Measured against reference depth",
-                columns=(
-                    "Point", "Reference / mm", "Measured / mm", "95 % interval / mm", "Error / mm",
-                    "U / mm", "Error / %", "Conformance / %", "Statement",
-                ),
-                rows=tuple(_check_row(c) for c in evidence.checks),
-                words=(0, 8),
+                columns=tuple(columns),
+                rows=tuple(_check_row(c, judged=judged) for c in listed),
+                words=(0, len(columns) - 1),
             ),
         ),
-    )  # fmt: skip
+    )
 
 
-def _check_row(c: CheckedDepth) -> tuple[str, ...]:
+def _check_row(c: CheckedDepth, *, judged: bool) -> tuple[str, ...]:
     error = check_error(c)
     finite = math.isfinite(c.high95_mm)
     half = max(c.z_mm - c.low95_mm, c.high95_mm - c.z_mm) if finite else c.z_mm - c.low95_mm
@@ -304,7 +188,7 @@ def _check_row(c: CheckedDepth) -> tuple[str, ...]:
         error.value,
         with_uncertainty(0.0, expanded).uncertainty if finite else "∞",
         fixed(100 * (c.z_mm / c.reference_mm - 1), 2),
-        NONE if c.conformity is None else percent_down(c.conformity.probability),
+        *([NONE if c.conformity is None else percent_down(c.conformity.probability)] * judged),
         statement,
     )
 

@@ -17,11 +17,13 @@ from calib.certificate.inputs import (
     Evidence,
 )
 from calib.certificate.numbers import (
+    LISTED_CHECKS,
     check_error,
     covariance,
     depth_line,
     judgement,
     length_result,
+    listed_checks,
     parameter_results,
 )
 from calib.certificate.wording import (
@@ -42,6 +44,7 @@ from calib.certificate.wording import (
     VERDICTS,
     WITHHELD,
     clean,
+    sentence,
 )
 from calib.uncertainty.budget import COVERAGE
 from calib.uncertainty.certified import CertifiedDepth, CheckedDepth
@@ -106,7 +109,7 @@ def build_certificate(inputs: CertificateInputs) -> CertificateData:
         tolerance=None if tolerance is None else _tolerance(tolerance),
         check_summary=_check_summary(evidence),
         length_summary=length_limit_words(evidence) or None,
-        checks=tuple(_check(c) for c in evidence.checks),
+        checks=tuple(_check(c) for c in listed_checks(evidence.checks)),
         lengths=tuple(length_result(e) for e in evidence.lengths),
         statements=_statements(evidence.depths),
         figure=depth_figure(
@@ -222,7 +225,7 @@ def _cautions(inputs: CertificateInputs) -> tuple[str, ...]:
             "Tolerance / U is under 3 at some depths: there the statement of conformity depends "
             "on the uncertainty, and the risk of a wrong statement is high."
         )
-    return (*found, *(clean(w) for w in inputs.warnings))
+    return (*found, *(sentence(clean(w)) for w in inputs.warnings))
 
 
 def _unexplained(checks: Sequence[CheckedDepth]) -> str | None:
@@ -288,6 +291,11 @@ def _check_summary(evidence: Evidence) -> str | None:
     parts = [f"Independent reference: {clean(evidence.check_reference)}."]
     parts += [_errors("Within the calibrated range", inside)] if inside else []
     parts += [_errors("Beyond it (extrapolated)", beyond)] if beyond else []
+    if len(evidence.checks) > LISTED_CHECKS:
+        parts.append(
+            f"Listed are the {LISTED_CHECKS} points whose errors are largest against their "
+            f"uncertainties; all {len(evidence.checks)} are in calibration.json."
+        )
     return " ".join(parts)
 
 

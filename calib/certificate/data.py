@@ -10,6 +10,9 @@ from dataclasses import dataclass
 
 from calib.uncertainty.conformity import Verdict
 
+NONE = "-"
+"""Of a cell that has nothing to say."""
+
 
 @dataclass(frozen=True)
 class Entry:
@@ -110,6 +113,8 @@ class DepthLine:
         Whether it lies outside the calibrated range.
     region
         Position.
+    contributions
+        Sources of the standard uncertainty by the linear law, each with its contribution, mm.
     """
 
     depth: Result
@@ -118,6 +123,7 @@ class DepthLine:
     judgement: Judgement | None
     extrapolated: bool
     region: Region
+    contributions: tuple[Entry, ...]
 
 
 @dataclass(frozen=True)

@@ -7,65 +7,29 @@ invert them. The HTML form is embedded as the document for people.
 from __future__ import annotations
 
 import base64
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 from lxml import etree
 
 from calib.certificate.data import (
     CertificateData,
     DepthLine,
+    Entry,
     Judgement,
     Matrix,
     Region,
     Result,
 )
+from calib.certificate.elements import LANGUAGE, UNITS, Content, dcc, rich_text, si
 from calib.certificate.wording import METHOD_REFERENCE, NORMS, NOT_STATED
 
-DCC = "https://ptb.de/dcc"
-SI = "https://ptb.de/si"
 VERSION = "3.3.0"
-LANGUAGE = "en"
 COVERAGE = "0.95"
-
-UNITS = {
-    "mm": r"\milli\metre",
-    "mrad": r"\milli\radian",
-    "1": r"\one",
-    "°C": r"\degreecelsius",
-    "%": r"\percent",
-}
-"""D-SI names of the printed units."""
-
-Content = etree._Element
-
-
-def _dcc(tag: str, *children: Content, text: str | None = None, **attributes: str) -> Content:
-    """Return an element of the DCC's namespace."""
-    return _element(f"{{{DCC}}}{tag}", children, text, attributes)
-
-
-def _si(tag: str, *children: Content, text: str | None = None) -> Content:
-    """Return an element of D-SI's namespace."""
-    return _element(f"{{{SI}}}{tag}", children, text, {})
-
-
-def _element(
-    name: str, children: Iterable[Content], text: str | None, attributes: dict[str, str]
-) -> Content:
-    element = etree.Element(name, attributes, nsmap={"dcc": DCC, "si": SI})
-    element.text = text
-    element.extend(list(children))
-    return element
-
-
-def _text(tag: str, words: str) -> Content:
-    """Return a text or rich content of one paragraph."""
-    return _dcc(tag, _dcc("content", text=words, lang=LANGUAGE))
 
 
 def render_dcc(data: CertificateData, *, html: str) -> bytes:
     """Return the DCC as UTF-8 XML with `html` embedded."""
-    root = _dcc(
+    root = dcc(
         "digitalCalibrationCertificate",
         _administration(data),
         _results(data),
@@ -78,33 +42,33 @@ def render_dcc(data: CertificateData, *, html: str) -> bytes:
 
 
 def _document(data: CertificateData, html: str) -> Content:
-    return _dcc(
+    return dcc(
         "document",
-        _text("name", "Certificate for people"),
-        _dcc("fileName", text=f"{data.identifier}.html"),
-        _dcc("mimeType", text="text/html"),
-        _dcc("dataBase64", text=base64.b64encode(html.encode()).decode("ascii")),
+        rich_text("name", "Certificate for people"),
+        dcc("fileName", text=f"{data.identifier}.html"),
+        dcc("mimeType", text="text/html"),
+        dcc("dataBase64", text=base64.b64encode(html.encode()).decode("ascii")),
     )
 
 
 def _administration(d: CertificateData) -> Content:
-    return _dcc(
+    return dcc(
         "administrativeData",
         _software("dccSoftware", d.software[:1]),
         _core(d),
-        _dcc("items", _item(d)),
-        _dcc("calibrationLaboratory", _contact("contact", d.laboratory, d.address, d.country)),
+        dcc("items", _item(d)),
+        dcc("calibrationLaboratory", _contact("contact", d.laboratory, d.address, d.country)),
         _persons(d),
         _contact("customer", d.customer, None, None),
-        _dcc("statements", *_statements(d)),
+        dcc("statements", *_statements(d)),
     )
 
 
 def _software(tag: str, software: Sequence[tuple[str, str]]) -> Content:
-    return _dcc(
+    return dcc(
         tag,
         *(
-            _dcc("software", _text("name", name), _dcc("release", text=version))
+            dcc("software", rich_text("name", name), dcc("release", text=version))
             for name, version in software
         ),
     )
@@ -114,71 +78,71 @@ def _core(d: CertificateData) -> Content:
     amended = []
     if d.replaces is not None:
         amended = [
-            _dcc(
+            dcc(
                 "reportAmendedSubstituted",
-                _dcc("typeOfChange", text="amended"),
-                _dcc("replacedUniqueIdentifier", text=d.replaces),
+                dcc("typeOfChange", text="amended"),
+                dcc("replacedUniqueIdentifier", text=d.replaces),
             )
         ]
-    return _dcc(
+    return dcc(
         "coreData",
-        _dcc("countryCodeISO3166_1", text=d.country),
-        _dcc("usedLangCodeISO639_1", text=LANGUAGE),
-        _dcc("mandatoryLangCodeISO639_1", text=LANGUAGE),
-        _dcc("uniqueIdentifier", text=d.identifier),
-        _dcc(
+        dcc("countryCodeISO3166_1", text=d.country),
+        dcc("usedLangCodeISO639_1", text=LANGUAGE),
+        dcc("mandatoryLangCodeISO639_1", text=LANGUAGE),
+        dcc("uniqueIdentifier", text=d.identifier),
+        dcc(
             "identifications",
             _identification("calibrationLaboratory", d.sha256, "SHA-256 of the dataset"),
             _identification("calibrationLaboratory", d.dataset, "name of the dataset"),
         ),
-        *([] if d.received == NOT_STATED else [_dcc("receiptDate", text=d.received)]),
-        _dcc("beginPerformanceDate", text=d.performed),
-        _dcc("endPerformanceDate", text=d.performed),
-        _dcc("performanceLocation", text="other"),
-        _dcc("issueDate", text=d.issued),
+        *([] if d.received == NOT_STATED else [dcc("receiptDate", text=d.received)]),
+        dcc("beginPerformanceDate", text=d.performed),
+        dcc("endPerformanceDate", text=d.performed),
+        dcc("performanceLocation", text="other"),
+        dcc("issueDate", text=d.issued),
         *amended,
     )
 
 
 def _identification(issuer: str, value: str, name: str) -> Content:
-    return _dcc(
+    return dcc(
         "identification",
-        _dcc("issuer", text=issuer),
-        _dcc("value", text=value),
-        _text("name", name),
+        dcc("issuer", text=issuer),
+        dcc("value", text=value),
+        rich_text("name", name),
     )
 
 
 def _item(d: CertificateData) -> Content:
-    return _dcc(
+    return dcc(
         "item",
-        _text("name", d.item),
-        _text("description", f"Condition on receipt: {d.condition}"),
-        _dcc("identifications", _identification("manufacturer", d.serial, "serial number")),
+        rich_text("name", d.item),
+        rich_text("description", f"Condition on receipt: {d.condition}"),
+        dcc("identifications", _identification("manufacturer", d.serial, "serial number")),
     )
 
 
 def _contact(tag: str, name: str, address: str | None, country: str | None) -> Content:
-    place = [_text("further", NOT_STATED if address is None else address)]
+    place = [rich_text("further", NOT_STATED if address is None else address)]
     if country is not None:
-        place.insert(0, _dcc("countryCode", text=country))
-    return _dcc(tag, _text("name", name), _dcc("location", *place))
+        place.insert(0, dcc("countryCode", text=country))
+    return dcc(tag, rich_text("name", name), dcc("location", *place))
 
 
 def _persons(d: CertificateData) -> Content:
-    return _dcc(
+    return dcc(
         "respPersons",
-        _dcc(
+        dcc(
             "respPerson",
-            _dcc("person", _text("name", d.approved_by)),
-            _dcc("role", text="authorised by"),
-            _dcc("mainSigner", text="true"),
+            dcc("person", rich_text("name", d.approved_by)),
+            dcc("role", text="authorised by"),
+            dcc("mainSigner", text="true"),
         ),
-        _dcc(
+        dcc(
             "respPerson",
-            _dcc("person", _text("name", d.operator)),
-            _dcc("role", text="calibrated by"),
-            _dcc("mainSigner", text="false"),
+            dcc("person", rich_text("name", d.operator)),
+            dcc("role", text="calibrated by"),
+            dcc("mainSigner", text="false"),
         ),
     )
 
@@ -203,7 +167,7 @@ def _statements(d: CertificateData) -> list[Content]:
     tolerance = "" if d.tolerance is None else f" Tolerance {d.tolerance}."
     conclusion = _statement("Conformity", f"{d.conclusion.words}.{tolerance} {d.rule}")
     if d.conclusion.verdict is not None:
-        conclusion.append(_dcc("conformity", text=d.conclusion.verdict))
+        conclusion.append(dcc("conformity", text=d.conclusion.verdict))
     return [*statements, conclusion]
 
 
@@ -214,7 +178,7 @@ def _dated(d: CertificateData) -> str:
 
 
 def _statement(name: str, words: str) -> Content:
-    return _dcc("statement", _text("name", name), _text("declaration", words))
+    return dcc("statement", rich_text("name", name), rich_text("declaration", words))
 
 
 def _results(d: CertificateData) -> Content:
@@ -227,28 +191,28 @@ def _results(d: CertificateData) -> Content:
     if d.lengths:
         found = [_result(e.name, e.meaning, _quantity(e)) for e in d.lengths]
         results.append(_measurement("Error of length", found, d.length_summary))
-    return _dcc(
+    return dcc(
         "measurementResults",
-        _dcc("usedMethods", _method(d)),
+        dcc("usedMethods", _method(d)),
         _software("usedSoftware", d.software),
-        _dcc("influenceConditions", *_conditions(d)),
+        dcc("influenceConditions", *_conditions(d)),
         *results,
     )
 
 
 def _method(d: CertificateData) -> Content:
-    return _dcc(
+    return dcc(
         "usedMethod",
-        _text("name", "Calibration of active gazing"),
-        _text("description", d.method),
-        *(_dcc("norm", text=norm) for norm in NORMS),
-        _dcc("reference", text=METHOD_REFERENCE),
+        rich_text("name", "Calibration of active gazing"),
+        rich_text("description", d.method),
+        *(dcc("norm", text=norm) for norm in NORMS),
+        dcc("reference", text=METHOD_REFERENCE),
     )
 
 
 def _conditions(d: CertificateData) -> list[Content]:
     return [
-        _dcc("influenceCondition", _text("name", name), _dcc("data", _condition(value, unit)))
+        dcc("influenceCondition", rich_text("name", name), dcc("data", _condition(value, unit)))
         for name, value, unit in (
             ("temperature", d.temperature_c, "°C"),
             ("relative humidity", d.humidity_percent, "%"),
@@ -258,17 +222,19 @@ def _conditions(d: CertificateData) -> list[Content]:
 
 def _condition(value: str | None, unit: str) -> Content:
     if value is None:
-        return _dcc("quantity", _text("noQuantity", NOT_STATED))
-    return _dcc("quantity", _si("real", _si("value", text=value), _si("unit", text=UNITS[unit])))
+        return dcc("quantity", rich_text("noQuantity", NOT_STATED))
+    return dcc("quantity", si("real", si("value", text=value), si("unit", text=UNITS[unit])))
 
 
 def _measurement(name: str, results: Sequence[Content], words: str | None = None) -> Content:
-    described = [] if words is None else [_text("description", words)]
-    return _dcc("measurementResult", _text("name", name), *described, _dcc("results", *results))
+    described = [] if words is None else [rich_text("description", words)]
+    return dcc("measurementResult", rich_text("name", name), *described, dcc("results", *results))
 
 
 def _result(name: str, words: str, *data: Content) -> Content:
-    return _dcc("result", _text("name", name), _text("description", words), _dcc("data", *data))
+    return dcc(
+        "result", rich_text("name", name), rich_text("description", words), dcc("data", *data)
+    )
 
 
 def _parameters(d: CertificateData) -> list[Content]:
@@ -279,56 +245,56 @@ def _parameters(d: CertificateData) -> list[Content]:
 def _matrix(m: Matrix) -> Content:
     """Return a covariance matrix as a list of its rows, each with its units."""
     rows = [
-        _dcc(
+        dcc(
             "quantity",
-            _text("name", name),
-            _si(
+            rich_text("name", name),
+            si(
                 "realListXMLList",
-                _si("valueXMLList", text=" ".join(row)),
-                _si("unitXMLList", text=" ".join(UNITS[m.units[i]] + UNITS[u] for u in m.units)),
+                si("valueXMLList", text=" ".join(row)),
+                si("unitXMLList", text=" ".join(UNITS[m.units[i]] + UNITS[u] for u in m.units)),
             ),
         )
         for i, (name, row) in enumerate(zip(m.names, m.rows, strict=True))
     ]
     words = f"rows and columns: {', '.join(m.names)}"
-    return _result("Covariance of the parameters", words, _dcc("list", *rows))
+    return _result("Covariance of the parameters", words, dcc("list", *rows))
 
 
 def _quantity(r: Result, judged: Judgement | None = None) -> Content:
-    metadata = [] if judged is None else [_dcc("measurementMetaData", _judged(judged))]
-    return _dcc("quantity", _text("name", r.name), _real(r), *metadata)
+    metadata = [] if judged is None else [dcc("measurementMetaData", _judged(judged))]
+    return dcc("quantity", rich_text("name", r.name), _real(r), *metadata)
 
 
 def _real(r: Result) -> Content:
-    return _si(
+    return si(
         "real",
-        _si("value", text=r.value),
-        _si("unit", text=UNITS[r.unit]),
+        si("value", text=r.value),
+        si("unit", text=UNITS[r.unit]),
         *_uncertainty(r),
     )
 
 
 def _uncertainty(r: Result) -> list[Content]:
     if r.expanded_uncertainty is not None and r.coverage_factor is not None:
-        stated = _si(
+        stated = si(
             "expandedMU",
-            _si("valueExpandedMU", text=r.expanded_uncertainty),
-            _si("coverageFactor", text=r.coverage_factor),
-            _si("coverageProbability", text=COVERAGE),
+            si("valueExpandedMU", text=r.expanded_uncertainty),
+            si("coverageFactor", text=r.coverage_factor),
+            si("coverageProbability", text=COVERAGE),
         )
     elif r.low is not None and r.high is not None:
-        stated = _si(
+        stated = si(
             "coverageIntervalMU",
-            _si("valueStandardMU", text=r.standard_uncertainty or "NaN"),
-            _si("intervalMin", text=r.low),
-            _si("intervalMax", text=r.high),
-            _si("coverageProbability", text=COVERAGE),
+            si("valueStandardMU", text=r.standard_uncertainty or "NaN"),
+            si("intervalMin", text=r.low),
+            si("intervalMax", text=r.high),
+            si("coverageProbability", text=COVERAGE),
         )
     elif r.standard_uncertainty is not None:
-        stated = _si("standardMU", _si("valueStandardMU", text=r.standard_uncertainty))
+        stated = si("standardMU", si("valueStandardMU", text=r.standard_uncertainty))
     else:
         return []
-    return [_si("measurementUncertaintyUnivariate", stated)]
+    return [si("measurementUncertaintyUnivariate", stated)]
 
 
 def _judged(j: Judgement) -> Content:
@@ -338,7 +304,7 @@ def _judged(j: Judgement) -> Content:
     )
     if j.warning is not None:
         words += f"; {j.warning}"
-    return _dcc("metaData", _text("declaration", words), _dcc("conformity", text=j.verdict))
+    return dcc("metaData", rich_text("declaration", words), dcc("conformity", text=j.verdict))
 
 
 def _depth(line: DepthLine) -> Content:
@@ -350,6 +316,22 @@ def _depth(line: DepthLine) -> Content:
         words,
         _quantity(line.depth, line.judgement),
         _position(line.region),
+        _contributions(line.contributions),
+    )
+
+
+def _contributions(sources: Sequence[Entry]) -> Content:
+    return dcc(
+        "list",
+        rich_text("name", "contributions to the standard uncertainty of depth"),
+        *(
+            dcc(
+                "quantity",
+                rich_text("name", source.label),
+                si("real", si("value", text=source.value), si("unit", text=UNITS["mm"])),
+            )
+            for source in sources
+        ),
     )
 
 
@@ -358,30 +340,30 @@ def _position(region: Region) -> Content:
     three = f"{unit} {unit} {unit}"
     squared = f"{unit}\\tothe{{2}}"
     columns = [
-        _si(
+        si(
             "columnXMLList",
-            _si(
+            si(
                 "covarianceXMLList",
-                _si("valueXMLList", text=" ".join(column)),
-                _si("unitXMLList", text=" ".join([squared] * 3)),
+                si("valueXMLList", text=" ".join(column)),
+                si("unitXMLList", text=" ".join([squared] * 3)),
             ),
         )
         for column in region.covariance
     ]
-    return _dcc(
+    return dcc(
         "quantity",
-        _text("name", "position x, y, z"),
-        _si(
+        rich_text("name", "position x, y, z"),
+        si(
             "realListXMLList",
-            _si("valueXMLList", text=" ".join(region.position)),
-            _si("unitXMLList", text=three),
-            _si(
+            si("valueXMLList", text=" ".join(region.position)),
+            si("unitXMLList", text=three),
+            si(
                 "measurementUncertaintyMultivariateXMLList",
-                _si(
+                si(
                     "ellipsoidalRegionMUXMLList",
-                    _si("covarianceMatrixXMLList", *columns),
-                    _si("coverageFactorXMLList", text=region.coverage_factor),
-                    _si("coverageProbabilityXMLList", text=COVERAGE),
+                    si("covarianceMatrixXMLList", *columns),
+                    si("coverageFactorXMLList", text=region.coverage_factor),
+                    si("coverageProbabilityXMLList", text=COVERAGE),
                 ),
             ),
         ),

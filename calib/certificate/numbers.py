@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
-from calib.certificate.data import DepthLine, Judgement, Matrix, Region, Result
+from calib.certificate.data import DepthLine, Entry, Judgement, Matrix, Region, Result
 from calib.certificate.inputs import CalibrationSummary
 from calib.certificate.wording import VERDICTS, clean
 from calib.geometry.parameters import INDEX, PARAMETERS
@@ -32,6 +33,10 @@ from calib.uncertainty.montecarlo import NORMAL_FACTOR, Interval, shortest_inter
 COVARIANCE_DIGITS = 9
 """Decimals of the mantissa of a covariance: baseline and eccentricity correlate to -0.9997 and
 beyond, and a program that reads the matrix must be able to invert it."""
+
+LISTED_CHECKS = 200
+"""Independent checks that are printed, six pages: nobody reads more, and files with all of 100,000
+would be of no use. Summary and statements of conformity are of all."""
 
 DECIDED = {
     "data": "decided by the data",
@@ -115,6 +120,10 @@ def depth_line(certified: CertifiedDepth) -> DepthLine:
         judgement=None if certified.conformity is None else judgement(certified.conformity),
         extrapolated=certified.extrapolated,
         region=_region(certified.position),
+        contributions=tuple(
+            Entry(symbol(name), at_place(part, uncertainty=r.budget.standard_uncertainty / 10))
+            for name, part in r.budget.sources
+        ),
     )
 
 
@@ -213,6 +222,15 @@ def covariance(p: ParameterKnowledge) -> Matrix:
         units=tuple(s.unit for s in shown),
         rows=tuple(tuple(f"{c:.{COVARIANCE_DIGITS}e}" for c in row) for row in scaled.tolist()),
     )
+
+
+def listed_checks(checks: Sequence[CheckedDepth]) -> tuple[CheckedDepth, ...]:
+    """Return the checks to list: the `LISTED_CHECKS` with the worst errors, in their order."""
+    if len(checks) <= LISTED_CHECKS:
+        return tuple(checks)
+    excess = [abs(c.z_mm - c.reference_mm) / max(c.allowed_mm, 1e-9) for c in checks]
+    worst = sorted(range(len(checks)), key=lambda i: excess[i], reverse=True)[:LISTED_CHECKS]
+    return tuple(checks[i] for i in sorted(worst))
 
 
 def check_error(check: CheckedDepth) -> Result:

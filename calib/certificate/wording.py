@@ -52,6 +52,15 @@ LENGTHS_NOTE = (
     "|error| + U, for lengths L within the range tested."
 )
 
+CAMERA_LINES = (
+    "Intrinsics and pose of the cameras were estimated once: their errors are common to all rows "
+    "and readings. Each source of them has one line, a correction of 0 mm, with what it does to "
+    "the depth by parameters and reading together; the later ones stand for what the earlier do "
+    "not explain of them. Beside these lines, u of a parameter and r of two are what rows and "
+    "prior knowledge leave; with the cameras' part they are those of the tables of the parameters "
+    "and of their correlation."
+)
+
 NORMS = (
     "ISO/IEC 17025:2017, 7.8.2 and 7.8.4 (fields)",
     "JCGM 100:2008",
@@ -101,6 +110,12 @@ def printable(text: str) -> str:
     They show as the replacement character: that something stood there must not be hidden.
     """
     return _TURNING.sub("\ufffd", _FORBIDDEN.sub("\ufffd", text))
+
+
+def sentence(text: str) -> str:
+    """Return a text as a sentence: with a capital and a full stop."""
+    text = text[:1].upper() + text[1:]
+    return text if text.endswith((".", "!", "?")) else f"{text}."
 
 
 def clean(text: str | None) -> str:

@@ -134,6 +134,27 @@ class Budget:
     coverage_factor: float | None
     expanded_uncertainty: float | None
 
+    @property
+    def sources(self) -> tuple[tuple[str, float], ...]:
+        """Sources of the uncertainty with their contributions, in `unit`, in the order of the rows.
+
+        Inputs estimated together are one source, under their label, their correlations included.
+        Where separate inputs are not correlated, the sources add up in quadrature.
+        """
+        source_of = {
+            row.input.name: row.input.estimated_with or row.input.name for row in self.rows
+        }
+        share = dict.fromkeys(source_of.values(), 0.0)
+        for row in self.rows:
+            share[source_of[row.input.name]] += row.share_percent
+        for pair in self.correlations:
+            if source_of[pair.first] == source_of[pair.second]:
+                share[source_of[pair.first]] += pair.share_percent
+        return tuple(
+            (name, self.standard_uncertainty * math.sqrt(max(percent, 0.0) / 100))
+            for name, percent in share.items()
+        )
+
 
 def budget(
     *,

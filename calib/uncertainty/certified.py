@@ -76,11 +76,16 @@ class CheckedDepth:
     extrapolated: bool
 
     @property
+    def allowed_mm(self) -> float:
+        """The error's own 95 % uncertainty on its side, reference included."""
+        above = self.z_mm > self.reference_mm
+        side = self.z_mm - self.low95_mm if above else self.high95_mm - self.z_mm
+        return math.hypot(side, 2 * self.u_reference_mm)
+
+    @property
     def consistent(self) -> bool:
         """Whether the error lies within its own 95 % uncertainty, reference included."""
-        error = self.z_mm - self.reference_mm
-        side = self.z_mm - self.low95_mm if error > 0 else self.high95_mm - self.z_mm
-        return abs(error) <= math.hypot(side, 2 * self.u_reference_mm)
+        return abs(self.z_mm - self.reference_mm) <= self.allowed_mm
 
 
 def depths_to_certify(low_mm: float, high_mm: float) -> tuple[float, ...]:

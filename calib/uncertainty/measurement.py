@@ -9,6 +9,12 @@ import numpy as np
 from calib.arrays import FloatArray
 from calib.geometry.parameters import embed
 
+PARAMETERS_LABEL = "parameters"
+"""Source of what rows and priors leave uncertain of the parameters, together."""
+
+READING_NAMES = ("x1c", "y1c", "alpha2", "gaze residual")
+"""Names of the errors of a reading, in the order of OBSERVABLE."""
+
 
 @dataclass(frozen=True)
 class Spread:
@@ -80,27 +86,84 @@ class SharedErrors:
     Parameters
     ----------
     names
-        Length m.
+        Where each comes from, length m; those of one source share its name.
     with_parameters
-        Their covariance with the free parameters, shape (k, m).
+        By how much one unit of each has moved the free parameters, shape (k, m): their covariance
+        with these.
+    own_draws
+        The draws of the parameters less what the shared errors have moved each by, (draws, k); None
+        where there are no draws.
     """
 
     names: tuple[str, ...]
     with_parameters: FloatArray
+    own_draws: FloatArray | None = None
 
 
 @dataclass(frozen=True)
 class Instrument:
-    """The calibrated instrument: parameters, errors of its readings, shared errors."""
+    """The calibrated instrument: parameters, errors of its readings, shared errors.
+
+    The errors of its parameters are ``own + by_shared @ common``: what rows and priors leave
+    uncertain, and what the shared errors, which also falsify every new reading, have moved them by.
+    The two are independent. All that is said of a measurement is made from these parts: a parameter
+    that has absorbed part of a shared error takes it away again, or adds to it.
+
+    Raises
+    ------
+    ValueError
+        If there are draws of the parameters, but not of their own part.
+    """
 
     parameters: ParameterKnowledge
     reading: ReadingSpread
     shared: SharedErrors | None = None
 
+    def __post_init__(self) -> None:
+        if self.parameters.draws is not None and self.own_draws is None:
+            raise ValueError("draws of parameters with shared errors need those of their own part")
+
     @property
     def theta(self) -> FloatArray:
         """Best estimate of the full parameter vector, shape (COUNT,)."""
         return embed(self.parameters.values, self.parameters.names)
+
+    @property
+    def by_shared(self) -> FloatArray:
+        """Change of the free parameters per unit of each shared error, (k, m); m may be 0."""
+        if self.shared is None:
+            return np.zeros((len(self.parameters.names), 0))
+        return self.shared.with_parameters
+
+    @property
+    def own_draws(self) -> FloatArray | None:
+        """Draws of the parameters without the shared errors' part, shape (draws, k)."""
+        if self.shared is None or not np.any(self.shared.with_parameters):
+            return self.parameters.draws
+        return self.shared.own_draws
+
+    @property
+    def own_covariance(self) -> FloatArray:
+        """Covariance of the parameters without the shared errors' part, shape (k, k).
+
+        The difference of the two, as far as it is one. In directions in which the shared errors
+        explain more than is uncertain, nothing is left to the own part; the parts then add up to
+        more than the whole, and in no direction to less, so that no result comes out more certain
+        than covariance and shared errors as stated would make it. A calibration makes the whole
+        from the parts: there it happens by rounding alone.
+        """
+        p, by_shared = self.parameters, self.by_shared
+        if not np.any(by_shared):
+            return p.covariance
+        u = np.sqrt(np.diag(p.covariance))
+        scale = np.outer(u, u)
+        safe = np.where(scale > 0, scale, 1.0)
+        rest = p.covariance - by_shared @ by_shared.T
+        value, vectors = np.linalg.eigh(rest / safe)
+        if value.min(initial=0.0) >= 0:
+            return rest
+        least: FloatArray = safe * ((vectors * np.maximum(value, 0)) @ vectors.T)
+        return least
 
 
 @dataclass(frozen=True)

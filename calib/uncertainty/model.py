@@ -1,8 +1,10 @@
 """One measurement, or several that share a calibration, as a model of uncertain inputs.
 
-The inputs are, in this order: the parameters (one multivariate estimate, shared by all readings),
-the shared errors (what C1's intrinsics have wrong, common to all readings and, by the calibration,
-correlated with the parameters), and the errors of each reading.
+The inputs are, in this order: the parameters with what rows and priors leave uncertain of them (one
+multivariate estimate), the shared errors (what the intrinsics and the pose of C2 have wrong, which
+falsifies every reading and has falsified the parameters), and the errors of each reading. The three
+are independent of each other: a budget in them needs correlations between parameters only, and each
+source of shared errors has one line, its effects by both ways added with their signs.
 """
 
 from __future__ import annotations
@@ -14,8 +16,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.arrays import FloatArray
+from calib.geometry.closure import depth_jacobian
 from calib.geometry.parameters import INDEX, PARAMETERS, embed
-from calib.geometry.plane import OBSERVABLE, Gaze, depth_jacobian
+from calib.geometry.plane import OBSERVABLE, Gaze
 from calib.uncertainty.budget import Budget, InputQuantity, budget
 from calib.uncertainty.distributions import (
     GivenInputs,
@@ -24,13 +27,16 @@ from calib.uncertainty.distributions import (
     RectangularInputs,
     StudentInputs,
 )
-from calib.uncertainty.measurement import Instrument, ParameterKnowledge, Reading, ReadingSpread
+from calib.uncertainty.measurement import (
+    PARAMETERS_LABEL,
+    READING_NAMES,
+    Instrument,
+    ParameterKnowledge,
+    Reading,
+    ReadingSpread,
+)
 from calib.uncertainty.position import READINGS, positions
 
-CALIBRATION = "calibration"
-"""Label of the inputs that the calibration estimated together."""
-
-_NAMES = ("x1c", "y1c", "alpha2", "gaze residual")
 _UNITS = ("1", "1", "rad", "rad")
 
 
@@ -71,13 +77,13 @@ class MeasurementModel:
         self._nominal = np.array([r.values for r in readings])
         shared = instrument.shared
         self._shared_names = () if shared is None else shared.names
+        self._by_shared = instrument.by_shared
         self._loadings = np.zeros((len(readings), READINGS, len(self._shared_names)))
         if shared is not None:
             for i, r in enumerate(readings):
                 if r.shared is None:
                     raise ValueError("a reading of an instrument with shared errors needs loadings")
                 self._loadings[i] = r.shared
-        self._with_parameters = _reconciled(instrument)
         self._own = tuple(_own_errors(instrument.reading, len(readings)))
 
     @property
@@ -108,13 +114,9 @@ class MeasurementModel:
     @property
     def covariance(self) -> FloatArray:
         """Covariance of all inputs, shape (K, K)."""
-        p = self._instrument.parameters
-        k, m = self._with_parameters.shape
-        full = np.zeros((k + m + len(self._own),) * 2)
-        full[:k, :k] = p.covariance
-        full[k : k + m, k : k + m] = np.eye(m)
-        full[:k, k : k + m] = self._with_parameters
-        full[k : k + m, :k] = self._with_parameters.T
+        k, m = self._by_shared.shape
+        full = np.eye(k + m + len(self._own))
+        full[:k, :k] = self._instrument.own_covariance
         for i, own in enumerate(self._own, start=k + m):
             full[i, i] = own.std**2
         return full
@@ -124,15 +126,17 @@ class MeasurementModel:
         """Derivatives of the positions by all inputs, shape (n, 3, K)."""
         gaze = Gaze(*self._nominal.T)
         j = depth_jacobian(self._instrument.theta, gaze)
-        free = [INDEX[name] for name in self._instrument.parameters.names]
+        by_theta = j.by_theta[:, [INDEX[name] for name in self._instrument.parameters.names]]
+        k, m = self._by_shared.shape
         # From inputs to the readings, shape (readings, 4, K), and on to the depths.
         own = np.zeros((len(gaze), READINGS, len(self._own)))
         for i, error in enumerate(self._own):
             own[error.reading, error.quantity, i] = 1.0
-        by_theta = np.zeros((len(gaze), READINGS, len(free)))
-        to_reading = np.concatenate([by_theta, self._loadings, own], axis=2)
+        no_parameters = np.zeros((len(gaze), READINGS, k))
+        to_reading = np.concatenate([no_parameters, self._loadings, own], axis=2)
         to_depth = np.einsum("nq,nqk->nk", j.by_observable, to_reading)
-        to_depth[:, : len(free)] = j.by_theta[:, free]
+        to_depth[:, :k] = by_theta
+        to_depth[:, k : k + m] += by_theta @ self._by_shared
         points, lenders = np.arange(self._count), list(self._depth_of)
         ray = np.stack([gaze.x1c, gaze.y1c, np.ones(len(gaze))], axis=1)[points]
         # dx = x1c dz + z dx1c, eq. (11) of Xu and Wang; z may be another reading's.
@@ -143,26 +147,36 @@ class MeasurementModel:
     def budget(self, *, quantity: str, estimate: float, sensitivity: FloatArray) -> Budget:
         """Return the budget of a result in mm; inputs without influence are left out.
 
+        The shared errors of one source are one input, a correction of 0 mm whose standard
+        uncertainty is the root sum of squares of their contributions.
+
         Parameters
         ----------
         sensitivity
             Derivative of the result by each input, shape (K,).
         """
-        matters = np.flatnonzero(sensitivity)
-        inputs = self._quantities(sensitivity)
+        k, m = self._by_shared.shape
+        inputs = [
+            *self._parameters(sensitivity[:k]),
+            *self._sources(sensitivity[k : k + m]),
+            *self._reading_errors(sensitivity[k + m :]),
+        ]
+        correlation = np.eye(len(inputs))
+        correlation[:k, :k] = _correlation(self._instrument.own_covariance)
+        matters = [i for i, q in enumerate(inputs) if q.sensitivity]
         return budget(
             quantity=quantity,
             estimate=estimate,
             unit="mm",
             inputs=[inputs[i] for i in matters],
-            correlation=_correlation(self.covariance)[np.ix_(matters, matters)],
+            correlation=correlation[np.ix_(matters, matters)],
         )
 
-    def _quantities(self, sensitivity: FloatArray) -> tuple[InputQuantity, ...]:
+    def _parameters(self, sensitivity: FloatArray) -> list[InputQuantity]:
         p = self._instrument.parameters
-        u = np.sqrt(np.diag(self.covariance))
+        u = np.sqrt(np.diag(self._instrument.own_covariance))
         distribution = _parameter_distribution(p)
-        found = [
+        return [
             InputQuantity(
                 name=name,
                 estimate=float(p.values[i]),
@@ -172,28 +186,33 @@ class MeasurementModel:
                 distribution=distribution,
                 degrees_of_freedom=p.degrees_of_freedom,
                 sensitivity=float(sensitivity[i]),
-                estimated_with=CALIBRATION,
+                estimated_with=PARAMETERS_LABEL,
             )
             for i, name in enumerate(p.names)
         ]
-        # Correlated with the parameters, the shared errors belong to the same estimate.
-        tied = bool(np.any(self._with_parameters))
-        found += [
+
+    def _sources(self, sensitivity: FloatArray) -> list[InputQuantity]:
+        together: dict[str, float] = {}
+        for name, effect in zip(self._shared_names, sensitivity, strict=True):
+            together[name] = math.hypot(together.get(name, 0.0), effect)
+        return [
             InputQuantity(
                 name=name,
                 estimate=0.0,
-                unit="1",
-                standard_uncertainty=float(u[i]),
+                unit="mm",
+                standard_uncertainty=u,
                 evaluation="A",
                 distribution="normal",
                 degrees_of_freedom=math.inf,
-                sensitivity=float(sensitivity[i]),
-                estimated_with=CALIBRATION if tied else None,
+                sensitivity=1.0,
             )
-            for i, name in enumerate(self._shared_names, start=len(found))
+            for name, u in together.items()
+            if u > 0
         ]
+
+    def _reading_errors(self, sensitivity: FloatArray) -> list[InputQuantity]:
         alone = len(self._nominal) == 1
-        found += [
+        return [
             InputQuantity(
                 name=own.label(alone=alone),
                 estimate=float(self._nominal[own.reading, own.quantity]),
@@ -204,18 +223,16 @@ class MeasurementModel:
                 degrees_of_freedom=math.inf,
                 sensitivity=float(sensitivity[i]),
             )
-            for i, own in enumerate(self._own, start=len(found))
+            for i, own in enumerate(self._own)
         ]
-        return tuple(found)
 
     @property
     def blocks(self) -> tuple[Inputs, ...]:
         """The inputs as blocks for Monte Carlo; their columns are those of `positions`."""
         m = len(self._shared_names)
-        blocks: list[Inputs] = [_parameter_block(self._instrument.parameters)]
+        blocks: list[Inputs] = [_own_block(self._instrument)]
         if m:
-            rest = np.eye(m) - self._carried @ self._with_parameters
-            blocks.append(NormalInputs(np.zeros(m), rest))
+            blocks.append(NormalInputs(np.zeros(m), np.eye(m)))
         for own in self._own:
             if own.distribution == "rectangular":
                 half = np.array([own.std * math.sqrt(3)])
@@ -224,24 +241,15 @@ class MeasurementModel:
                 blocks.append(NormalInputs(np.zeros(1), np.array([[own.std**2]])))
         return tuple(blocks)
 
-    @property
-    def _carried(self) -> FloatArray:
-        """Regression of the shared errors on the parameters, shape (m, k)."""
-        inverse, u = _inverse_correlation(self._instrument.parameters.covariance)
-        carried: FloatArray = (self._with_parameters / u[:, None]).T @ inverse / u
-        return carried
-
     def positions(self, draws: FloatArray) -> FloatArray:
         """Return positions, mm, shape (t, n, 3), for draws of `blocks`, shape (t, K)."""
-        p = self._instrument.parameters
-        k, m = self._with_parameters.shape
+        k, m = self._by_shared.shape
         shared = draws[:, k : k + m]
-        if m:
-            shared = shared + (draws[:, :k] - p.values) @ self._carried.T
+        free = draws[:, :k] + shared @ self._by_shared.T
         values = self._nominal.T[:, None] + np.einsum("nqm,tm->qtn", self._loadings, shared)
         for i, own in enumerate(self._own, start=k + m):
             values[own.quantity, :, own.reading] += draws[:, i]
-        return self._points(embed(draws[:, :k], p.names), values)
+        return self._points(embed(free, self._instrument.parameters.names), values)
 
 
 def _with_lenders(points: Sequence[Reading]) -> tuple[list[Reading], tuple[int, ...]]:
@@ -256,35 +264,6 @@ def _with_lenders(points: Sequence[Reading]) -> tuple[list[Reading], tuple[int, 
     return readings, tuple(depth_of)
 
 
-def _inverse_correlation(covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the inverse of the correlation matrix, (k, k), and the standard uncertainties, (k,).
-
-    Taken apart, millimetres and microradians do not spoil each other's digits.
-    """
-    u = np.sqrt(np.diag(covariance))
-    safe: FloatArray = np.where(u > 0, u, 1.0)
-    inverse = np.linalg.pinv(_correlation(covariance), hermitian=True)
-    return np.asarray(inverse, dtype=np.float64), safe
-
-
-def _reconciled(instrument: Instrument) -> FloatArray:
-    """Return the covariance of parameters and shared errors, (k, m), that the former can bear.
-
-    The two come from different computations (a sampled posterior, a linear response), which may
-    contradict each other by a little: together they would explain the parameters more than
-    wholly. The link is then weakened until they explain just all. The parameters have absorbed part
-    of the shared errors and take it away again in a measurement; a weaker link takes less away.
-    """
-    p, shared = instrument.parameters, instrument.shared
-    if shared is None:
-        return np.zeros((len(p.names), 0))
-    inverse, u = _inverse_correlation(p.covariance)
-    scaled = shared.with_parameters / u[:, None]
-    explained = float(np.linalg.eigvalsh(scaled.T @ inverse @ scaled)[-1])
-    reconciled: FloatArray = shared.with_parameters / math.sqrt(max(explained, 1.0))
-    return reconciled
-
-
 def _correlation(covariance: FloatArray) -> FloatArray:
     u = np.sqrt(np.diag(covariance))
     safe = np.where(u > 0, u, 1.0)
@@ -297,7 +276,7 @@ def _own_errors(spread: ReadingSpread, count: int) -> list[_Own]:
     found = []
     for reading in range(count):
         for quantity, part in enumerate(spread.parts):
-            name = _NAMES[quantity]
+            name = READING_NAMES[quantity]
             if part.normal > 0:
                 found.append(_Own(reading, quantity, part.normal, "normal", name))
             if part.width > 0:
@@ -313,9 +292,11 @@ def _parameter_distribution(p: ParameterKnowledge) -> str:
     return "Student t" if freedom is not None and math.isfinite(freedom) else "normal"
 
 
-def _parameter_block(p: ParameterKnowledge) -> Inputs:
-    if p.draws is not None:
-        return GivenInputs(p.draws)
+def _own_block(instrument: Instrument) -> Inputs:
+    """Return what rows and priors leave uncertain of the parameters."""
+    p, own = instrument.parameters, instrument.own_draws
+    if own is not None:
+        return GivenInputs(own)
     if p.degrees_of_freedom is not None and math.isfinite(p.degrees_of_freedom):
-        return StudentInputs(p.values, p.covariance, p.degrees_of_freedom)
-    return NormalInputs(p.values, p.covariance)
+        return StudentInputs(p.values, instrument.own_covariance, p.degrees_of_freedom)
+    return NormalInputs(p.values, instrument.own_covariance)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +11,7 @@ from calib.arrays import BoolArray, FloatArray
 from calib.geometry.parameters import INDEX, embed
 from calib.geometry.plane import Gaze, drawn_planes
 from calib.uncertainty.distributions import factor
-from calib.uncertainty.measurement import Instrument
+from calib.uncertainty.measurement import PARAMETERS_LABEL, READING_NAMES, Instrument
 from calib.uncertainty.montecarlo import NORMAL_FACTOR, numerical_tolerance
 from calib.uncertainty.position import READINGS, position_jacobian
 
@@ -22,6 +22,9 @@ CHUNK_ELEMENTS = 2_000_000
 """Trials x readings held at a time; with more readings each gets fewer trials, down to `FEW`."""
 
 FEW = 2000
+
+TOLD_AFTER = 200
+"""Readings between two words on progress."""
 
 DIGITS = 1
 """Significant digits of u that decide clause 8 of JCGM 101 here; more than `DRAWS` can resolve
@@ -61,6 +64,7 @@ def predict_depths(
     rng: np.random.Generator,
     *,
     loadings: FloatArray | None = None,
+    progress: Callable[[int, int], None] | None = None,
 ) -> DepthPrediction:
     """Return the depths of `gaze` as `instrument` measures them.
 
@@ -71,9 +75,13 @@ def predict_depths(
     ----------
     loadings
         Shared errors' effect on the readings, shape (n, 4, m); None without shared errors.
+    progress
+        Told how many readings of how many are done.
     """
     intervals = np.empty((len(gaze), 3))
     for i, z in enumerate(depth_draws(instrument, gaze, rng, loadings=loadings)):
+        if progress is not None and i % TOLD_AFTER == 0:
+            progress(i, len(gaze))
         spread = float(z.std()) if np.isfinite(z).all() else np.inf
         # An infinite end is an answer: interpolation between two infinities is not.
         low, high = np.quantile(z, [0.025, 0.975], method="inverted_cdf")
@@ -103,8 +111,7 @@ def depth_draws(
     Infinite where the drawn ray does not meet the drawn plane in front of C1. Parameters as
     `predict_depths`, and `most`, the greatest number of draws a gaze.
     """
-    n = len(gaze)
-    m = 0 if instrument.shared is None else len(instrument.shared.names)
+    n, m = len(gaze), instrument.by_shared.shape[1]
     loadings = np.zeros((n, READINGS, m)) if loadings is None else loadings
     nominal = np.stack([gaze.x1c, gaze.y1c, gaze.alpha2, gaze.residual], axis=1)
     count = int(np.clip(CHUNK_ELEMENTS // max(n, 1), FEW, most))
@@ -120,19 +127,15 @@ def _draws(
     instrument: Instrument, rng: np.random.Generator, count: int
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return draws of parameters (t, COUNT), shared errors (t, m) and reading errors (t, 4)."""
-    p, shared = instrument.parameters, instrument.shared
-    if p.draws is None:
+    p, own = instrument.parameters, instrument.own_draws
+    if own is None:
         normal = rng.standard_normal((count, len(p.values)))
-        free = p.values + normal @ factor(p.covariance).T
+        free = p.values + normal @ factor(instrument.own_covariance).T
     else:
-        free = p.draws[rng.integers(len(p.draws), size=count)]
-    common = np.zeros((count, 0))
-    if shared is not None:
-        carried = shared.with_parameters.T @ np.linalg.pinv(p.covariance, hermitian=True)
-        rest = np.eye(len(shared.names)) - carried @ shared.with_parameters
-        # What is left over may be indefinite by rounding, and by the covariance being a sample's.
-        common = (free - p.values) @ carried.T
-        common += rng.standard_normal(common.shape) @ factor(rest).T
+        free = own[rng.integers(len(own), size=count)]
+    by_shared = instrument.by_shared
+    common = rng.standard_normal((count, by_shared.shape[1]))
+    free = free + common @ by_shared.T
     errors = np.stack(
         [
             part.normal * rng.standard_normal(count) + part.width * rng.uniform(-0.5, 0.5, count)
@@ -152,7 +155,8 @@ class LinearPositions:
     position_mm
         Shape (n, 3).
     by_common
-        Derivatives by the parameters and the shared errors, shape (n, 3, k + m).
+        Derivatives by the parameters' own errors and by the shared errors, with what these have
+        moved the parameters by, shape (n, 3, k + m).
     common
         Covariance of these, shape (k + m, k + m).
     own
@@ -189,26 +193,40 @@ def linear_positions(
         Standard uncertainties of x1c, y1c, alpha2 and gaze residual, shape (n, 4), where they
         differ from row to row; None for the instrument's.
     """
-    p, shared = instrument.parameters, instrument.shared
-    k, m = len(p.names), 0 if shared is None else len(shared.names)
+    p, by_shared = instrument.parameters, instrument.by_shared
+    k, m = by_shared.shape
     jacobian = position_jacobian(instrument.theta, gaze)
     by_theta = jacobian.by_theta[:, :, [INDEX[name] for name in p.names]]
     loadings = np.zeros((len(gaze), READINGS, m)) if loadings is None else loadings
+    through_both = by_theta @ by_shared + jacobian.by_reading @ loadings
     joint = np.eye(k + m)
-    joint[:k, :k] = p.covariance
-    if shared is not None:
-        joint[:k, k:] = shared.with_parameters
-        joint[k:, :k] = shared.with_parameters.T
+    joint[:k, :k] = instrument.own_covariance
     std = reading_std
     if std is None:
         parts = instrument.reading.parts
         std = np.array([np.hypot(part.normal, part.width / np.sqrt(12)) for part in parts])
     return LinearPositions(
         position_mm=jacobian.position,
-        by_common=np.concatenate([by_theta, jacobian.by_reading @ loadings], axis=2),
+        by_common=np.concatenate([by_theta, through_both], axis=2),
         common=joint,
         own=jacobian.by_reading * std[..., None, :],
     )
+
+
+def depth_sources(instrument: Instrument, linear: LinearPositions) -> dict[str, FloatArray]:
+    """Return what each source contributes to u(z), mm, shape (n,) each, by the linear law.
+
+    The sources are independent and add up in quadrature; those without any effect are left out.
+    """
+    k = len(instrument.parameters.names)
+    by_common, own = linear.by_common[:, 2], linear.own[:, 2]
+    parameters, covariance = by_common[:, :k], linear.common[:k, :k]
+    square = {PARAMETERS_LABEL: np.einsum("nk,kl,nl->n", parameters, covariance, parameters)}
+    shared = () if instrument.shared is None else instrument.shared.names
+    effects = zip((*shared, *READING_NAMES), (*by_common[:, k:].T, *own.T), strict=True)
+    for name, effect in effects:
+        square[name] = square.get(name, 0.0) + effect**2
+    return {name: np.sqrt(part) for name, part in square.items() if part.any()}
 
 
 def _validated(z: FloatArray, u: FloatArray, ends: FloatArray) -> BoolArray:

@@ -23,7 +23,13 @@ from calib.uncertainty.certified import CertifiedDepth, certify_depth, check_dep
 from calib.uncertainty.conformity import ToleranceRule, assess, measured_conformity
 from calib.uncertainty.depth import reading_at
 from calib.uncertainty.lengths import length_error, length_limit
-from calib.uncertainty.measurement import Instrument, ParameterKnowledge, ReadingSpread, Spread
+from calib.uncertainty.measurement import (
+    Instrument,
+    ParameterKnowledge,
+    ReadingSpread,
+    SharedErrors,
+    Spread,
+)
 
 CALIBRATED_MM = (485.9, 1008.5)
 NAMES = ("baseline_mm", "delta2_rad", "axis_z_mm", "eccentricity_mm")
@@ -113,6 +119,34 @@ def instrument(*, posterior: bool) -> Instrument:
         draws=draws,
     )
     return Instrument(knowledge, READING)
+
+
+def with_cameras() -> CertificateInputs:
+    """One calibration of which intrinsics and pose were estimated from images."""
+    plain = inputs()
+    by_shared = np.array([[2.0, 0.5, 1.0], [1e-5, 2e-5, 3e-5], [0.0, 0.1, 0.0], [0.0, 0.0, 0.1]])
+    rig = instrument(posterior=False)
+    shared = SharedErrors(
+        ("intrinsics of C1", "pose of C2 (stereo reference)", "intrinsics of C1"), by_shared
+    )
+    rig = replace(rig, shared=shared)
+    loading = np.zeros((4, 3))
+    loading[0] = 1e-3, 0.0, 5e-4
+    depths = tuple(
+        certify_depth(
+            rig,
+            [replace(reading_at(rig.theta, z_mm=z, x1c=0.1), shared=loading)],
+            np.random.default_rng(i),
+            calibrated_mm=CALIBRATED_MM,
+            tolerance=TOLERANCE,
+        )
+        for i, z in enumerate((490, 740, 1000))
+    )
+    return replace(
+        plain,
+        calibration=replace(plain.calibration, instrument=rig),
+        evidence=replace(plain.evidence, depths=depths),
+    )
 
 
 def certified(

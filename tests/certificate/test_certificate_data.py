@@ -220,7 +220,7 @@ def test_an_amendment_names_what_it_replaces() -> None:
 
 def test_shares_of_the_printed_budget_add_up() -> None:
     data = build_certificate(example.inputs())
-    budgets = data.annexes[0].tables
+    budgets = data.annexes[0].tables[1:]
     assert len(budgets) >= 3
     for table in budgets:
         *parts, total = (float(row[-1]) for row in table.rows)
@@ -238,10 +238,60 @@ def test_slight_inputs_and_pairs_share_a_row_and_parameters_never_do() -> None:
     budget = replace(plain, rows=tuple(slight), correlations=tuple(pairs))
     changed = replace(first, result=replace(first.result, budget=budget))
     evidence = replace(inputs.evidence, depths=(changed, *others))
-    table = build_certificate(replace(inputs, evidence=evidence)).annexes[0].tables[0]
+    table = build_certificate(replace(inputs, evidence=evidence)).annexes[0].tables[1]
     names = [row[0] for row in table.rows]
     assert names == ["L_b", "δ2", "Z_a", "e", "2 further inputs", "6 further pairs", "depth z"]
     assert table.rows[5][-1] == "-0.1"
+
+
+@pytest.mark.parametrize("cameras", [False, True])
+def test_contributions_add_up_in_quadrature_and_cameras_have_a_line_each(cameras: bool) -> None:
+    inputs = example.with_cameras() if cameras else example.inputs()
+    data = build_certificate(inputs)
+    annex = data.annexes[0]
+    summary, first = annex.tables[:2]
+    sources = [row[0] for row in summary.rows]
+    named = ["intrinsics of C1", "pose of C2 (stereo reference)"] if cameras else []
+    assert sources == ["parameters", *named, "x1c", "α2, resolution", "together"]
+    assert [row[0] for row in first.rows if row[0] in named] == named
+    assert ("a correction of 0 mm" in annex.introduction) == cameras
+    for k, depth in enumerate(inputs.evidence.depths, start=1):
+        *parts, together = (float(row[k]) for row in summary.rows)
+        u = depth.result.budget.standard_uncertainty
+        # Parts are rounded to a digit more than u has, u to its second digit.
+        assert math.isclose(math.hypot(*parts), u, rel_tol=0.02)
+        assert math.isclose(together, u, rel_tol=0.06)
+        assert [e.value for e in data.depths[k - 1].contributions] == [
+            row[k] for row in summary.rows[:-1]
+        ]
+
+
+def test_without_a_tolerance_no_column_speaks_of_conformance() -> None:
+    judged, plain = (
+        next(a for a in build_certificate(i).annexes if a.title == "Independent check").tables[0]
+        for i in (example.inputs(), example.inputs(tolerance=None))
+    )
+    assert [c for c in judged.columns if c not in plain.columns] == ["Conformance / %"]
+    for table in (judged, plain):
+        assert {len(row) for row in table.rows} == {len(table.columns)}
+        assert table.words[-1] == table.columns.index("Statement")
+    assert [row[-1] for row in plain.rows][-1] == "extrapolated"
+
+
+def test_what_holds_for_all_depths_is_said_once() -> None:
+    annex = build_certificate(example.inputs()).annexes[0]
+    assert annex.introduction.count("Effective degrees of freedom") == 1
+    assert not any("Effective degrees of freedom" in table.note for table in annex.tables)
+    # With degrees of freedom each depth has its own number.
+    annex = build_certificate(example.inputs(posterior=False)).annexes[0]
+    said = annex.introduction.count("Effective degrees of freedom")
+    said += sum("Effective degrees of freedom" in table.note for table in annex.tables)
+    assert said in (1, len(annex.tables) - 1)
+
+
+def test_warnings_are_printed_as_sentences() -> None:
+    warned = replace(example.inputs(), warnings=("readings without u2 are wider", "Stop!"))
+    assert build_certificate(warned).cautions[-2:] == ("Readings without u2 are wider.", "Stop!")
 
 
 def test_every_text_is_clean_whatever_the_manifest_says() -> None:

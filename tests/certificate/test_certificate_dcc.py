@@ -1,45 +1,29 @@
-"""Evidence: structure of the PTB schema; with DCC_XSD set, the schema itself.
-
-DCC_XSD is the path of dcc.xsd, version 3.3.0, with D-SI and QUDT where it imports them. The schema
-is PTB's (https://ptb.de/dcc) and no part of this project.
-"""
+"""Evidence: structure of the PTB schema; with DCC_XSD set, the schema itself (`dcc_schema`)."""
 
 from __future__ import annotations
 
 import base64
-import os
-import re
 from dataclasses import replace
 
 import example
 import numpy as np
 import pytest
+from dcc_schema import NAMES, PARTS, checked, texts
 from lxml import etree
 
 from calib.certificate.build import build_certificate
-from calib.certificate.dcc import DCC, SI, render_dcc
+from calib.certificate.dcc import render_dcc
 from calib.certificate.html import render_html
 from calib.certificate.inputs import Administration, CertificateInputs
 from calib.gates import Gate
 from calib.uncertainty.conformity import ToleranceRule
 
-NAMES = {"dcc": DCC, "si": SI}
-REAL = re.compile(r"[-+]?\d+(\.\d+)?([eE][-+]?\d+)?")
 AMENDED = replace(example.STATED, replaces="AG-1", amendment="serial number", received="2026-01-30")
 
 
 def _parse(inputs: CertificateInputs) -> etree._Element:
     data = build_certificate(inputs)
-    xml = render_dcc(data, html=render_html(data))
-    root = etree.fromstring(xml)
-    if schema := os.environ.get("DCC_XSD"):
-        parser = etree.XMLParser(no_network=True)
-        etree.XMLSchema(etree.parse(schema, parser)).assertValid(root)
-    return root
-
-
-def _texts(root: etree._Element, path: str) -> list[str]:
-    return [str(e.text) for e in root.iterfind(path, NAMES)]
+    return checked(render_dcc(data, html=render_html(data)))
 
 
 CASES = {
@@ -49,61 +33,40 @@ CASES = {
     "silent": lambda: example.inputs(administration=Administration(), tolerance=None),
     "amended": lambda: example.inputs(administration=AMENDED),
     "failed": lambda: replace(example.inputs(), gates=(Gate("fit", False, "no"),)),
+    "cameras": example.with_cameras,
     "hostile": example.hostile,
 }
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_the_four_parts_stand_in_their_order(case: str) -> None:
-    root = _parse(CASES[case]())
-    assert root.tag == f"{{{DCC}}}digitalCalibrationCertificate"
-    assert root.get("schemaVersion") == "3.3.0"
-    assert [etree.QName(child).localname for child in root] == [
-        "administrativeData",
-        "measurementResults",
-        "document",
-    ]
-    required = {
-        "dccSoftware",
-        "coreData",
-        "items",
-        "calibrationLaboratory",
-        "respPersons",
-        "customer",
-        "statements",
-    }
-    assert {etree.QName(child).localname for child in root[0]} == required
-    # No element may be empty but by mistake: the schema's strings are not.
-    for element in root.iter():
-        assert len(element) or (element.text or "").strip()
-    for element in root.iter(f"{{{SI}}}value"):
-        assert REAL.fullmatch(element.text or "")
+def test_the_parts_stand_in_their_order_and_none_is_empty(case: str) -> None:
+    assert len(_parse(CASES[case]())) == len(PARTS)
 
 
 def test_core_data_of_an_amendment() -> None:
     core = _parse(CASES["amended"]()).find("dcc:administrativeData/dcc:coreData", NAMES)
     assert core is not None
-    assert _texts(core, "dcc:uniqueIdentifier") == [example.inputs().issue.identifier]
-    assert _texts(core, "dcc:countryCodeISO3166_1") == ["CN"]
-    assert _texts(core, "dcc:receiptDate") == ["2026-01-30"]
-    assert _texts(core, "dcc:beginPerformanceDate") == ["2026-01-31"]
-    assert _texts(core, "dcc:issueDate") == ["2026-02-01"]
-    assert _texts(core, "dcc:reportAmendedSubstituted/dcc:replacedUniqueIdentifier") == ["AG-1"]
+    assert texts(core, "dcc:uniqueIdentifier") == [example.inputs().issue.identifier]
+    assert texts(core, "dcc:countryCodeISO3166_1") == ["CN"]
+    assert texts(core, "dcc:receiptDate") == ["2026-01-30"]
+    assert texts(core, "dcc:beginPerformanceDate") == ["2026-01-31"]
+    assert texts(core, "dcc:issueDate") == ["2026-02-01"]
+    assert texts(core, "dcc:reportAmendedSubstituted/dcc:replacedUniqueIdentifier") == ["AG-1"]
 
 
 def test_a_silent_manifest_invents_nothing() -> None:
     root = _parse(CASES["silent"]())
-    assert _texts(root, ".//dcc:calibrationLaboratory/dcc:contact/dcc:name/dcc:content") == [
+    assert texts(root, ".//dcc:calibrationLaboratory/dcc:contact/dcc:name/dcc:content") == [
         "not stated"
     ]
-    assert _texts(root, ".//dcc:item/dcc:identifications/dcc:identification/dcc:value") == [
+    assert texts(root, ".//dcc:item/dcc:identifications/dcc:identification/dcc:value") == [
         "not stated"
     ]
-    assert _texts(root, ".//dcc:countryCodeISO3166_1") == ["ZZ"]
-    declarations = " ".join(_texts(root, ".//dcc:statement/dcc:declaration/dcc:content"))
+    assert texts(root, ".//dcc:countryCodeISO3166_1") == ["ZZ"]
+    declarations = " ".join(texts(root, ".//dcc:statement/dcc:declaration/dcc:content"))
     assert "the date of performance given is that of issue" in declarations
     assert root.find(".//dcc:conformity", NAMES) is None
-    conditions = _texts(root, ".//dcc:influenceCondition//dcc:noQuantity/dcc:content")
+    conditions = texts(root, ".//dcc:influenceCondition//dcc:noQuantity/dcc:content")
     assert conditions == ["not stated", "not stated"]
 
 
@@ -113,25 +76,25 @@ def test_numbers_are_those_of_the_page_digit_for_digit() -> None:
     root = _parse(inputs)
     for parameter in data.parameters:
         real = _quantity(root, parameter.name)
-        assert _texts(real, "si:value") == [parameter.value]
-        assert _texts(real, ".//si:valueExpandedMU") == [parameter.expanded_uncertainty]
-        assert _texts(real, ".//si:coverageFactor") == [parameter.coverage_factor]
-        assert _texts(real, "si:unit") == [
+        assert texts(real, "si:value") == [parameter.value]
+        assert texts(real, ".//si:valueExpandedMU") == [parameter.expanded_uncertainty]
+        assert texts(real, ".//si:coverageFactor") == [parameter.coverage_factor]
+        assert texts(real, "si:unit") == [
             {"mm": r"\milli\metre", "mrad": r"\milli\radian"}[parameter.unit]
         ]
     shown = [line.depth.value for line in data.depths]
     depths = root.findall(".//dcc:quantity[dcc:name]", NAMES)
     found = [
-        _texts(q, "si:real/si:value")[0]
+        texts(q, "si:real/si:value")[0]
         for q in depths
-        if _texts(q, "dcc:name/dcc:content") == ["depth z"]
+        if texts(q, "dcc:name/dcc:content") == ["depth z"]
     ]
     assert found == shown
 
 
 def _quantity(root: etree._Element, name: str) -> etree._Element:
     for quantity in root.iterfind(".//dcc:quantity", NAMES):
-        if _texts(quantity, "dcc:name/dcc:content") == [name]:
+        if texts(quantity, "dcc:name/dcc:content") == [name]:
             real = quantity.find("si:real", NAMES)
             assert real is not None
             return real
@@ -142,9 +105,9 @@ def test_without_coverage_factor_the_interval_is_given() -> None:
     data = build_certificate(example.inputs())
     root = _parse(example.inputs())
     delta2 = _quantity(root, data.parameters[1].name)
-    assert _texts(delta2, ".//si:intervalMin") == [data.parameters[1].low]
-    assert _texts(delta2, ".//si:intervalMax") == [data.parameters[1].high]
-    assert _texts(delta2, ".//si:coverageProbability") == ["0.95"]
+    assert texts(delta2, ".//si:intervalMin") == [data.parameters[1].low]
+    assert texts(delta2, ".//si:intervalMax") == [data.parameters[1].high]
+    assert texts(delta2, ".//si:coverageProbability") == ["0.95"]
     assert delta2.find(".//si:coverageFactor", NAMES) is None
 
 
@@ -153,13 +116,13 @@ def test_the_covariance_can_be_inverted_again() -> None:
     root = _parse(inputs)
     rows = [
         [float(x) for x in text.split()]
-        for text in _texts(root, ".//dcc:list/dcc:quantity/si:realListXMLList/si:valueXMLList")
+        for text in texts(root, ".//dcc:list/dcc:quantity/si:realListXMLList/si:valueXMLList")
     ]
     covariance = inputs.calibration.instrument.parameters.covariance
     scale = np.array([1, 1e3, 1, 1])
     np.testing.assert_allclose(rows, covariance * np.outer(scale, scale), rtol=1e-9)
     assert np.linalg.eigvalsh(np.array(rows))[0] > 0
-    units = _texts(root, ".//dcc:list/dcc:quantity/si:realListXMLList/si:unitXMLList")
+    units = texts(root, ".//dcc:list/dcc:quantity/si:realListXMLList/si:unitXMLList")
     assert units[1].split()[0] == r"\milli\radian\milli\metre"
 
 
@@ -170,34 +133,51 @@ def test_positions_carry_their_ellipsoid() -> None:
     assert len(regions) == len(inputs.evidence.depths)
     columns = [
         [float(x) for x in text.split()]
-        for text in _texts(regions[0], ".//si:covarianceXMLList/si:valueXMLList")
+        for text in texts(regions[0], ".//si:covarianceXMLList/si:valueXMLList")
     ]
     expected = inputs.evidence.depths[0].position.covariance_mm2
     np.testing.assert_allclose(columns, expected, rtol=1e-9)
-    assert float(_texts(regions[0], "si:coverageFactorXMLList")[0]) > 2
+    assert float(texts(regions[0], "si:coverageFactorXMLList")[0]) > 2
+
+
+def test_each_depth_says_what_its_uncertainty_is_made_of() -> None:
+    inputs = example.with_cameras()
+    root = _parse(inputs)
+    lists = [
+        element
+        for element in root.iterfind(".//dcc:result/dcc:data/dcc:list", NAMES)
+        if texts(element, "dcc:name/dcc:content")
+    ]
+    for element, depth in zip(lists, build_certificate(inputs).depths, strict=True):
+        names = texts(element, "dcc:quantity/dcc:name/dcc:content")
+        assert names == [source.label for source in depth.contributions]
+        assert "intrinsics of C1" in names
+        values = texts(element, "dcc:quantity/si:real/si:value")
+        assert values == [source.value for source in depth.contributions]
+        assert set(texts(element, "dcc:quantity/si:real/si:unit")) == {r"\milli\metre"}
 
 
 def test_conformity_is_said_for_each_depth_and_for_all() -> None:
     inputs = example.inputs()
     root = _parse(inputs)
-    each = _texts(root, ".//dcc:metaData/dcc:conformity")
+    each = texts(root, ".//dcc:metaData/dcc:conformity")
     assert len(each) == len(inputs.evidence.depths) + len(inputs.evidence.checks)
     assert set(each) <= {"pass", "conditionalPass", "conditionalFail", "fail"}
-    assert _texts(root, ".//dcc:statement/dcc:conformity") == ["pass"]
+    assert texts(root, ".//dcc:statement/dcc:conformity") == ["pass"]
 
 
 def test_a_failed_calibration_says_so_first_and_states_no_conformity() -> None:
     root = _parse(CASES["failed"]())
     first = root.find(".//dcc:statements/dcc:statement", NAMES)
     assert first is not None
-    assert _texts(first, "dcc:name/dcc:content") == ["Not to be used"]
+    assert texts(first, "dcc:name/dcc:content") == ["Not to be used"]
     assert root.find(".//dcc:conformity", NAMES) is None
 
 
 def test_the_page_is_embedded() -> None:
     inputs = example.inputs()
     root = _parse(inputs)
-    (encoded,) = _texts(root, "dcc:document/dcc:dataBase64")
+    (encoded,) = texts(root, "dcc:document/dcc:dataBase64")
     html = render_html(build_certificate(inputs))
     assert base64.b64decode(encoded).decode() == html
 

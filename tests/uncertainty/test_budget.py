@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import GTC
 import known_case
@@ -11,7 +12,13 @@ import pytest
 
 from calib.uncertainty.budget import Budget, InputQuantity, budget, coverage_factor
 from calib.uncertainty.depth import depth_budget, reading_at
-from calib.uncertainty.measurement import Instrument, ParameterKnowledge, ReadingSpread, Spread
+from calib.uncertainty.measurement import (
+    Instrument,
+    ParameterKnowledge,
+    ReadingSpread,
+    SharedErrors,
+    Spread,
+)
 
 # GUM H.2, table H.2: V / V, I / mA, phi / rad, five simultaneous observations each.
 H2 = np.array(
@@ -163,6 +170,42 @@ def test_axis_offset_model_against_gtc() -> None:
     assert table.standard_uncertainty == pytest.approx(GTC.uncertainty(z), rel=1e-6)
     assert table.degrees_of_freedom == pytest.approx(GTC.dof(z), rel=1e-6)
     assert len(table.correlations) == 6
+    assert _shares(table) == pytest.approx(100, abs=1e-9)
+
+
+def test_shared_errors_of_one_source_are_one_line_of_the_budget() -> None:
+    """Against GTC: effects by both ways add with their signs, errors of a source in quadrature."""
+    rng = np.random.default_rng(11)
+    names = ("lens", "lens", "pose", "lens")
+    loading = rng.normal(0, 2e-4, (4, 4)) * [1, 1, 0, 1]
+    p = known_case.knowledge()
+    scale = np.array([known_case.U_BASELINE, known_case.U_DELTA2])
+    by_shared = scale[:, None] * rng.uniform(-0.1, 0.1, (2, 4))
+    reading = replace(known_case.READING, shared=loading)
+    shared = SharedErrors(names, by_shared)
+    instrument = Instrument(p, ReadingSpread(x1c=Spread(normal=1e-4)), shared)
+    table = depth_budget(instrument, reading)
+    own = instrument.own_covariance
+    u = np.sqrt(np.diag(own))
+    parameters = GTC.multiple_ureal(p.values.tolist(), u.tolist(), math.inf)
+    GTC.set_correlation(float(own[0, 1] / u[0] / u[1]), *parameters)
+    common = [GTC.ureal(0, 1) for _ in names]
+    x_own = GTC.ureal(reading.x1c, 1e-4)
+
+    def moved(value, loads):
+        return value + sum(float(a) * c for a, c in zip(loads, common, strict=True))
+
+    baseline, delta2 = (moved(q, by_shared[i]) for i, q in enumerate(parameters))
+    angle = moved(reading.alpha2_rad + delta2, loading[2] + loading[3])
+    z = baseline / (moved(x_own, loading[0]) + 1 / GTC.tan(angle))
+    assert table.standard_uncertainty == pytest.approx(GTC.uncertainty(z), rel=1e-6)
+    rows = {row.input.name: row for row in table.rows}
+    assert list(rows) == ["baseline_mm", "delta2_rad", "lens", "pose", "x1c"]
+    for source in ("lens", "pose"):
+        parts = [GTC.component(z, c) for n, c in zip(names, common, strict=True) if n == source]
+        assert rows[source].contribution == pytest.approx(math.hypot(*parts), rel=1e-6)
+        assert (rows[source].input.estimate, rows[source].input.unit) == (0.0, "mm")
+    assert {(c.first, c.second) for c in table.correlations} == {("baseline_mm", "delta2_rad")}
     assert _shares(table) == pytest.approx(100, abs=1e-9)
 
 

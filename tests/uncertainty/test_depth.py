@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import known_case
 import numpy as np
@@ -234,16 +235,35 @@ def test_shared_errors_without_loadings_are_refused() -> None:
         )
 
 
-def test_contradicting_correlations_are_weakened_until_they_fit() -> None:
+def test_a_contradiction_between_covariance_and_shared_errors_widens() -> None:
     # Baseline and delta2 at -0.9, an error tied to the first alone by 0.8: impossible.
-    shared = SharedErrors(("focal length",), np.array([[0.8 * known_case.U_BASELINE], [0.0]]))
-    reading = Reading(-0.0158, 0.0, 1.5, shared=np.zeros((4, 1)))
-    model = MeasurementModel(Instrument(known_case.knowledge(), ReadingSpread(), shared), [reading])
-    u = np.sqrt(np.diag(model.covariance))
-    correlation = model.covariance / np.outer(u, u)
-    # 1 - 0.81 - r² = 0 at the most that the other two admit.
-    assert correlation[0, 2] == pytest.approx(math.sqrt(0.19))
-    assert np.linalg.eigvalsh(correlation)[0] == pytest.approx(0, abs=1e-12)
+    p = known_case.knowledge()
+    by_shared = np.array([[0.8 * known_case.U_BASELINE], [0.0]])
+    instrument = Instrument(p, ReadingSpread(), SharedErrors(("focal length",), by_shared))
+    u = np.sqrt(np.diag(p.covariance))
+    own = instrument.own_covariance / np.outer(u, u)
+    assert np.linalg.eigvalsh(own)[0] == pytest.approx(0, abs=1e-12)
+    # Whatever is measured, the parts give no less than covariance and link as they were stated.
+    more = own + (by_shared @ by_shared.T - p.covariance) / np.outer(u, u)
+    assert np.linalg.eigvalsh(more)[0] > -1e-12
+    assert np.trace(more) > 0.1
+
+
+def test_parts_that_fit_are_taken_as_they_are() -> None:
+    p = known_case.knowledge()
+    by_shared = np.array([[0.5 * known_case.U_BASELINE], [-0.5 * known_case.U_DELTA2]])
+    instrument = Instrument(p, ReadingSpread(), SharedErrors(("focal length",), by_shared))
+    whole = instrument.own_covariance + by_shared @ by_shared.T
+    np.testing.assert_allclose(whole, p.covariance, rtol=1e-14)
+
+
+def test_draws_with_shared_errors_need_their_own_part() -> None:
+    p = known_case.knowledge()
+    p = replace(p, draws=np.tile(p.values, (100, 1)))
+    shared = SharedErrors(("focal length",), np.array([[0.1], [0.0]]))
+    with pytest.raises(ValueError, match="own part"):
+        Instrument(p, ReadingSpread(), shared)
+    assert Instrument(p, ReadingSpread(), replace(shared, own_draws=p.draws)).own_draws is p.draws
 
 
 def test_a_borrowed_depth_carries_the_errors_of_the_row_it_comes_from() -> None:

@@ -14,17 +14,16 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from arviz_stats.base import array_stats
 from numpy.random import SeedSequence
-from scipy.special import logsumexp
 
 from calib.arrays import FloatArray
 from calib.errors import EstimationError
-from calib.fit.density import log_posterior
-from calib.fit.importance import K_HAT_LIMIT, ImportanceSample, sample_importance
-from calib.fit.posterior import Posterior, laplace
+from calib.fit.importance import ImportanceSample
+from calib.fit.leave_one_out import LeftOut, leave_one_out, of_chain, of_sample
+from calib.fit.posterior import Posterior, Progress, posterior_of
 from calib.fit.priors import Priors
 from calib.fit.robust import RobustFit, fit_robust
+from calib.fit.weights import averaging_weights, stacking_weights
 from calib.geometry.parameters import MODELS
 from calib.geometry.plane import depth
 from calib.observations import Observations
@@ -39,12 +38,6 @@ of the estimate gives about t / 2 here, so that 1 asks for t of 2.
 
 NOTICEABLY = 2.0
 """Nats that a richer model must be better by: below it AIC's users call models equal."""
-
-LOO_DRAWS = 4000
-"""Posterior draws that LOO looks at."""
-
-CHUNK_ELEMENTS = 4_000_000
-"""Draws x rows held at a time."""
 
 MAXIMUM_GROUPS = 30
 """Groups left out for the depth error; more groups are left out together, in 30 parts."""
@@ -78,8 +71,8 @@ class ModelScore:
         predicted by a fit without it.
     validation_depth_rms_rel
         The same on the validation rows; None without them.
-    weight
-        Stacking weight (Yao et al. 2018, doi 10.1214/17-BA1091).
+    weight, averaging_weight
+        Stacking and pseudo-BMA+ weight; see `calib.fit.weights`.
     """
 
     model: str
@@ -94,6 +87,7 @@ class ModelScore:
     cv_depth_rms_rel: float | None
     validation_depth_rms_rel: float | None
     weight: float
+    averaging_weight: float
 
 
 @dataclass(frozen=True)
@@ -123,6 +117,7 @@ def compare_models(
     validation: ValidationRows | None,
     *,
     seed: SeedSequence,
+    progress: Progress | None = None,
 ) -> Comparison:
     """Return the comparison of all models that were fitted.
 
@@ -133,11 +128,19 @@ def compare_models(
     validation
         Rows never used to fit; None without them.
     """
-    draws = {name: _of_chain(posteriors[name], fit) for name, fit in fits.items()}
-    loos = _leave_one_out(rows, fits, draws, priors, seed)
-    left_out = {name: _left_out_depth_error(rows, fit, priors) for name, fit in fits.items()}
+    draws = {name: of_chain(posteriors[name], fit) for name, fit in fits.items()}
+    for_rows, for_weights = seed.spawn(2)
+    tell = (lambda *_: None) if progress is None else progress
+    expected = 2 * len(fits)
+    loos = leave_one_out(
+        rows, fits, draws, priors, for_rows, progress=lambda done: tell(done, expected)
+    )
+    left_out = {}
+    for done, (name, fit) in enumerate(fits.items(), len(fits) + 1):
+        left_out[name] = _left_out_depth_error(rows, fit, priors)
+        tell(done, expected)
     unseen = {name: _validation_error(fit, validation) for name, fit in fits.items()}
-    return _compare(rows, fits, priors, loos, _DepthErrors(left_out, unseen))
+    return _compare(rows, fits, priors, loos, _DepthErrors(left_out, unseen), for_weights)
 
 
 def compare_samples(
@@ -157,20 +160,10 @@ def compare_samples(
     fits, samples
         By model name, the same names in both.
     """
-    draws = {name: _Draws(s.draws, _log(s.weights)) for name, s in samples.items()}
-    loos = _leave_one_out(rows, fits, draws, priors, seed)
-    return _compare(rows, fits, priors, loos, _DepthErrors({}, {}))
-
-
-@dataclass(frozen=True)
-class _Draws:
-    """Draws from a posterior, shape (m, p + 1), with the logarithms of their weights, shape (m,).
-
-    Without what the shared errors add: the rows contain it already.
-    """
-
-    draws: FloatArray
-    log_weights: FloatArray
+    draws = {name: of_sample(sample) for name, sample in samples.items()}
+    for_rows, for_weights = seed.spawn(2)
+    loos = leave_one_out(rows, fits, draws, priors, for_rows)
+    return _compare(rows, fits, priors, loos, _DepthErrors({}, {}), for_weights)
 
 
 @dataclass(frozen=True)
@@ -181,24 +174,21 @@ class _DepthErrors:
     validation: Mapping[str, float | None]
 
 
-def _log(weights: FloatArray) -> FloatArray:
-    with np.errstate(divide="ignore"):
-        logarithm: FloatArray = np.log(weights)
-    return logarithm
-
-
 def _compare(
     rows: Observations,
     fits: Mapping[str, RobustFit],
     priors: Priors,
-    loos: Mapping[str, _Loo],
+    loos: Mapping[str, LeftOut],
     errors: _DepthErrors,
+    for_weights: SeedSequence,
 ) -> Comparison:
     """Return scores and selection, models in order of rising number of free parameters."""
     every = _without_outliers(np.stack([loo.pointwise for loo in loos.values()], axis=1), fits)
-    weights = stacking_weights(every)
+    stacking = stacking_weights(every)
+    averaging = averaging_weights(every, np.random.default_rng(for_weights))
     scores = []
-    for (name, loo), pointwise, weight in zip(loos.items(), every.T, weights, strict=True):
+    for k, (name, loo) in enumerate(loos.items()):
+        pointwise = every[:, k]
         aicc, bic = _information_criteria(rows, fits[name], priors)
         scores.append(
             ModelScore(
@@ -213,7 +203,8 @@ def _compare(
                 bic=bic,
                 cv_depth_rms_rel=errors.left_out.get(name),
                 validation_depth_rms_rel=errors.validation.get(name),
-                weight=float(weight),
+                weight=float(stacking[k]),
+                averaging_weight=float(averaging[k]),
             )
         )
     selected, reason = select(scores)
@@ -264,108 +255,11 @@ def select(scores: Sequence[ModelScore]) -> tuple[str, str]:
     return best.model, reason
 
 
-@dataclass(frozen=True)
-class _Loo:
-    pointwise: FloatArray
-    pareto_k: FloatArray
-    refitted: tuple[int, ...]
-    unreliable: tuple[int, ...]
-
-
-def _leave_one_out(
-    rows: Observations,
-    fits: Mapping[str, RobustFit],
-    draws: Mapping[str, _Draws],
-    priors: Priors,
-    seed: SeedSequence,
-) -> Mapping[str, _Loo]:
-    """Return the leave-one-out densities of each model, in order of rising size."""
-    names = sorted(fits, key=lambda name: len(MODELS[name].free))
-    return {
-        name: _loo(rows, fits[name], draws[name], priors, child)
-        for name, child in zip(names, seed.spawn(len(names)), strict=True)
-    }
-
-
-def _loo(
-    rows: Observations, fit: RobustFit, sample: _Draws, priors: Priors, seed: SeedSequence
-) -> _Loo:
-    """Return leave-one-out densities: Pareto-smoothed, exact where the smoothing fails."""
-    target = log_posterior(rows, MODELS[fit.model], priors, fit.theta, aside=fit.aside)
-    used = np.isfinite(sample.log_weights)
-    draws, log_prior_weights = sample.draws[used], sample.log_weights[used]
-    pointwise, pareto_k = np.empty(len(rows)), np.empty(len(rows))
-    step = max(1, CHUNK_ELEMENTS // len(draws))
-    for start in range(0, len(rows), step):
-        part = np.arange(start, min(start + step, len(rows)))
-        density = target.only(part).pointwise(draws).T
-        # A draw's weight once the row is left out: its own over what the row gave it.
-        log_weights, pareto_k[part] = _smoothed(
-            target.power[part, None] * density - log_prior_weights
-        )
-        log_weights -= logsumexp(log_weights, axis=1, keepdims=True)
-        pointwise[part] = logsumexp(density + log_weights, axis=1)
-    refitted, unreliable = [], []
-    failing = np.flatnonzero(pareto_k > K_HAT_LIMIT)
-    for i, child in zip(failing, seed.spawn(len(failing)), strict=True):
-        try:
-            term, reliable = _exact(rows, fit, priors, int(i), np.random.default_rng(child))
-        except EstimationError:
-            # The others alone do not determine the model: the smoothed term stays, and says so.
-            unreliable.append(int(i))
-            continue
-        pointwise[i] = term
-        refitted.append(int(i))
-        if not reliable:
-            unreliable.append(int(i))
-    return _Loo(pointwise, pareto_k, tuple(refitted), tuple(unreliable))
-
-
-def _smoothed(log_ratios: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return Pareto-smoothed log weights, shape (n, m), and k-hat, shape (n,), of log ratios.
-
-    A row that no draw depends on, having been set aside, has no tail to smooth: its k-hat is 0.
-    """
-    log_weights, k_hat = -log_ratios, np.zeros(len(log_ratios))
-    varied = np.ptp(log_ratios, axis=1) > 0
-    if varied.any():
-        log_weights[varied], k_hat[varied] = array_stats.psislw(log_ratios[varied])
-    return log_weights, k_hat
-
-
-def _of_chain(posterior: Posterior, fit: RobustFit) -> _Draws:
-    """Return `LOO_DRAWS` draws of the chains, without what the shared errors added to each."""
-    thin = max(1, len(posterior.flat) // LOO_DRAWS)
-    draws = posterior.flat[::thin].copy()
-    common = posterior.common.reshape(len(posterior.flat), fit.by_shared.shape[1])[::thin]
-    draws[:, :-1] -= common @ fit.by_shared.T
-    return _Draws(draws, np.zeros(len(draws)))
-
-
-def _exact(
-    rows: Observations, fit: RobustFit, priors: Priors, left_out: int, rng: np.random.Generator
-) -> tuple[float, bool]:
-    """Return the log density of a row under the posterior of the others, and its reliability."""
-    model = MODELS[fit.model]
-    others = rows.take(np.arange(len(rows)) != left_out)
-    again = fit_robust(others, model, priors, start=fit.theta)
-    # The weights stay those of the full fit, so that all terms speak of the same density.
-    target = log_posterior(rows, model, priors, fit.theta, aside=fit.aside)
-    sample = sample_importance(
-        target.only(np.flatnonzero(np.arange(len(rows)) != left_out)),
-        *laplace(again, target),
-        rng,
-    )
-    density = target.only(np.array([left_out])).pointwise(sample.draws)[:, 0]
-    term = logsumexp(density + _log(sample.weights))
-    return float(term), sample.k_hat < K_HAT_LIMIT
-
-
 def _information_criteria(
     rows: Observations, fit: RobustFit, priors: Priors
 ) -> tuple[float | None, float]:
     """Return AICc (None where the rows are too few) and BIC."""
-    target = log_posterior(rows, MODELS[fit.model], priors, fit.theta, aside=fit.aside)
+    target = posterior_of(fit, rows, priors)
     point = np.append(fit.values, np.log(fit.noise_scale))[None]
     deviance = -2 * float(target.pointwise(point).sum())
     count, parameters = len(rows), fit.data_parameters + 1
@@ -399,26 +293,3 @@ def _validation_error(fit: RobustFit, validation: ValidationRows | None) -> floa
     z = depth(fit.theta, validation.rows.gaze)[validation.depth_of]
     error = z / validation.rows.z_mm - 1
     return float(np.sqrt(np.mean(error**2)))
-
-
-def stacking_weights(pointwise: FloatArray) -> FloatArray:
-    """Return the weights, shape (models,), of the mixture that predicts left-out rows best.
-
-    Maximises sum_i log sum_k w_k exp(pointwise[i, k]) by expectation maximisation, which climbs
-    at each step and keeps the weights on the simplex.
-
-    Parameters
-    ----------
-    pointwise
-        LOO log densities, shape (n, models).
-    """
-    density = np.exp(pointwise - pointwise.max(axis=1, keepdims=True))
-    weights: FloatArray = np.full(pointwise.shape[1], 1 / pointwise.shape[1])
-    for _ in range(10_000):
-        share = weights * density
-        share /= share.sum(axis=1, keepdims=True)
-        updated: FloatArray = share.mean(axis=0)
-        if np.abs(updated - weights).max() < 1e-10:
-            return updated
-        weights = updated
-    return weights

@@ -23,8 +23,8 @@ from calib.errors import EstimationError
 from calib.fit.linear import residual_mrad
 from calib.fit.noise import is_outlier, row_noise
 from calib.fit.start import find_start
+from calib.geometry.closure import closure_value
 from calib.geometry.parameters import vector
-from calib.geometry.plane import closure_value
 from calib.observations import Observations
 
 HUBER_THRESHOLD = 1.345

@@ -88,6 +88,11 @@ class ImportanceSample:
         columns = range(self.draws.shape[1])
         return np.array([np.interp(levels, below[:, k], values[:, k]) for k in columns]).T
 
+    @property
+    def proposal(self) -> Proposal:
+        """The density to propose from that fits the sample."""
+        return Proposal.around(self.mean, self.covariance)
+
     def resample(self, count: int, rng: np.random.Generator) -> FloatArray:
         """Return `count` different draws, chosen by weight, shape (count, d)."""
         chosen = rng.choice(len(self.draws), size=count, replace=False, p=self.weights)
@@ -106,14 +111,14 @@ class ImportanceSample:
 
 
 @dataclass(frozen=True)
-class _Proposal:
+class Proposal:
     """A multivariate t density with `PROPOSAL_DOF` degrees of freedom."""
 
     centre: FloatArray
     factor: FloatArray
 
     @classmethod
-    def around(cls, centre: FloatArray, covariance: FloatArray) -> _Proposal:
+    def around(cls, centre: FloatArray, covariance: FloatArray) -> Proposal:
         """Return the proposal, or raise LinAlgError if the covariance is singular."""
         unit = np.sqrt(np.diag(covariance))
         if not np.all(unit > 0):
@@ -121,13 +126,15 @@ class _Proposal:
         correlation = covariance / np.outer(unit, unit) + 1e-12 * np.eye(len(unit))
         return cls(centre, unit[:, None] * np.linalg.cholesky(correlation))
 
-    def draw(self, count: int, rng: np.random.Generator) -> FloatArray:
+    def draw(self, count: int, rng: np.random.Generator | np.random.RandomState) -> FloatArray:
+        """Return draws, shape (count, d)."""
         normal = rng.standard_normal((count, len(self.centre)))
         stretch = np.sqrt(PROPOSAL_DOF / rng.chisquare(PROPOSAL_DOF, count))
         draws: FloatArray = self.centre + stretch[:, None] * (normal @ self.factor.T)
         return draws
 
     def log_density(self, x: FloatArray) -> FloatArray:
+        """Return the log density, shape (m,), of x, shape (m, d)."""
         d = len(self.centre)
         white = np.linalg.inv(self.factor) @ (x - self.centre).T
         norm = gammaln((PROPOSAL_DOF + d) / 2) - gammaln(PROPOSAL_DOF / 2)
@@ -158,7 +165,7 @@ def sample_importance(
     EstimationError
         If the density is nowhere finite near the guess.
     """
-    proposals = [_Proposal.around(centre, START_WIDENING**2 * covariance)]
+    proposals = [Proposal.around(centre, START_WIDENING**2 * covariance)]
     draws, target = np.empty((0, len(centre))), np.empty(0)
     mixture = np.empty(0)
     while True:
@@ -179,7 +186,7 @@ def sample_importance(
         proposals.append(_adapted(draws, log_weights, proposals[-1]))
 
 
-def _adapted(draws: FloatArray, log_weights: FloatArray, last: _Proposal) -> _Proposal:
+def _adapted(draws: FloatArray, log_weights: FloatArray, last: Proposal) -> Proposal:
     """Return the proposal that fits the weighted sample, or the last if the sample is too poor."""
     weights = np.exp(log_weights - logsumexp(log_weights))
     if 1 / float(weights @ weights) < 5 * draws.shape[1]:
@@ -190,7 +197,7 @@ def _adapted(draws: FloatArray, log_weights: FloatArray, last: _Proposal) -> _Pr
     centred = draws - mean
     covariance = (weights[:, None] * centred).T @ centred
     try:
-        return _Proposal.around(mean, covariance)
+        return Proposal.around(mean, covariance)
     except np.linalg.LinAlgError:
         return last
 

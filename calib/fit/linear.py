@@ -18,8 +18,8 @@ import numpy as np
 
 from calib.arrays import FloatArray
 from calib.errors import EstimationError
+from calib.geometry.closure import closure
 from calib.geometry.parameters import vector
-from calib.geometry.plane import closure
 from calib.observations import Observations
 
 MINIMUM_ROWS = 3

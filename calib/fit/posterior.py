@@ -3,26 +3,32 @@
 Several independent ensembles of walkers start from different draws of the importance sample, which
 is from the posterior already: there is no burn-in to discard. Each walks by differential evolution
 (ter Braak 2006, doi 10.1007/s11222-006-8769-1), one step in ten with the factor 1 that carries a
-walker from mode to mode. emcee's snooker move is left out: in emcee 3.1.6 its acceptance does not
-keep detailed balance, and a share of one fifth in the mix makes the variance of a unit normal in
-five dimensions 6 % too small (docs/decisions.md).
+walker from mode to mode. Of long tables, whose posterior is nearly normal, most steps propose a
+fresh point from a t density with the importance sample's mean and covariance, accepted or not by
+Metropolis and Hastings: a chain so forgets its past in two to four steps and not in ten to thirty,
+each of which looks at all rows. The remaining steps, which know nothing of that sample, would show
+by their drift if it were not from the posterior. emcee's snooker move is left out: in emcee 3.1.6
+its acceptance does not keep detailed balance, and a share of one fifth in the mix makes the
+variance of a unit normal in five dimensions 6 % too small (docs/decisions.md).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any, TypeAlias
 
 import emcee
 import numpy as np
 from arviz_stats.base import array_stats
 from numpy.random import MT19937, RandomState, SeedSequence
-from scipy.stats import norm, rankdata
+from scipy.special import ndtri
+from scipy.stats import rankdata
 
 from calib.arrays import FloatArray
 from calib.errors import EstimationError
 from calib.fit.density import LogPosterior, log_posterior
-from calib.fit.importance import ImportanceSample, sample_importance
+from calib.fit.importance import ImportanceSample, Proposal, sample_importance
 from calib.fit.priors import NOISE_SCALE, Priors
 from calib.fit.robust import RobustFit
 from calib.geometry.parameters import MODELS
@@ -36,6 +42,15 @@ WALKERS = 32
 
 BLOCK_STEPS = 1000
 """Steps between looks at convergence."""
+
+LONG_TABLE = 5000
+"""Rows from which on most steps are independent proposals: it is hardly ever refused there."""
+
+INDEPENDENT_SHARE = 0.8
+"""Share of such steps."""
+
+LONG_TABLE_BLOCK_STEPS = 100
+"""Steps between looks at convergence of a long table: 400 or so are enough."""
 
 MAXIMUM_STEPS = 60_000
 """Steps after which the chain is given up: three times what the worst rig tried has needed."""
@@ -85,7 +100,8 @@ class Posterior:
     common
         The shared standard-normal errors that went with each draw, shape (ensembles, draws, k).
     mean, covariance, quantiles
-        Of the draws: shapes (p + 1,), (p + 1, p + 1) and (p + 1, 3) at 2.5, 50 and 97.5 %.
+        Of the draws: shapes (p + 1,), (p + 1, p + 1) and (p + 1, 3) at 2.5, 50 and 97.5 %. What
+        the shared errors add to mean and covariance is known and not left to their draws.
     ess_bulk, ess_tail, r_hat, tau
         Effective draws in the bulk and in the tails, R-hat across ensembles, autocorrelation time
         in steps; shape (p + 1,) each.
@@ -133,12 +149,19 @@ class Posterior:
         return self.draws.reshape(-1, len(self.names))
 
 
+def posterior_of(fit: RobustFit, rows: Observations, priors: Priors) -> LogPosterior:
+    """Return the log posterior density of the model of `fit`, with its outliers and tails."""
+    return log_posterior(
+        rows, MODELS[fit.model], priors, fit.theta, aside=fit.aside, tails=fit.tails
+    )
+
+
 def laplace(fit: RobustFit, target: LogPosterior) -> tuple[FloatArray, FloatArray]:
     """Return centre, (p + 1,), and covariance of a normal density near the posterior.
 
     The noise scale has about n - p rows to it, and its prior.
     """
-    rows_for_scale = max(len(target.rows) - fit.data_parameters, 0.0)
+    rows_for_scale = max(np.count_nonzero(target.power) - fit.data_parameters, 0.0)
     centre = np.append(fit.values, np.log(fit.noise_scale))
     covariance = np.zeros((len(centre), len(centre)))
     covariance[:-1, :-1] = fit.covariance - fit.by_shared @ fit.by_shared.T
@@ -166,7 +189,7 @@ def sample_posterior(
     EstimationError
         If the density is not finite near the fit, or the importance sample too poor to start from.
     """
-    target = log_posterior(rows, MODELS[fit.model], priors, fit.theta, aside=fit.aside)
+    target = posterior_of(fit, rows, priors)
     for_importance, for_shared, for_start, *for_chains = seed.spawn(3 + ENSEMBLES)
     centre, covariance = laplace(fit, target)
     sample = sample_importance(target, centre, covariance, np.random.default_rng(for_importance))
@@ -196,18 +219,21 @@ def _run(
     if np.count_nonzero(sample.weights) < ENSEMBLES * walkers:
         raise EstimationError("too few importance draws carry weight to start the walkers from")
     starts = sample.resample(ENSEMBLES * walkers, np.random.default_rng(for_start))
+    moves, block = _walk(), BLOCK_STEPS
+    if len(target.rows) >= LONG_TABLE:
+        moves, block = _with_independent(moves, sample.proposal), LONG_TABLE_BLOCK_STEPS
     samplers, states = [], []
     for i, seed in enumerate(seeds):
-        samplers.append(_sampler(target, walkers))
+        samplers.append(_sampler(target, walkers, moves))
         random_state = RandomState(MT19937(seed)).get_state()
         states.append(emcee.State(starts[i::ENSEMBLES], random_state=random_state))
-    expected, done = float(BLOCK_STEPS), 0
+    expected, done = float(block), 0
     while True:
         for i, sampler in enumerate(samplers):
-            states[i] = sampler.run_mcmc(states[i], BLOCK_STEPS)
+            states[i] = sampler.run_mcmc(states[i], block)
             if progress is not None:
-                progress(int(done + BLOCK_STEPS * (i + 1) / ENSEMBLES), int(expected))
-        done += BLOCK_STEPS
+                progress(int(done + block * (i + 1) / ENSEMBLES), int(expected))
+        done += block
         chain = np.stack([s.get_chain() for s in samplers])
         tau = np.mean([_tau(c) for c in chain], axis=0)
         expected = max(TAU_MULTIPLE, ESS_GOAL / (ENSEMBLES * walkers)) * float(tau.max())
@@ -218,13 +244,32 @@ def _run(
     return _Chains(chain, tau, acceptance, converged)
 
 
-def _sampler(target: LogPosterior, walkers: int) -> emcee.EnsembleSampler:
+Moves: TypeAlias = list[tuple[Any, float]]
+"""emcee's moves, each with its share."""
+
+
+def _walk() -> Moves:
+    return [(emcee.moves.DEMove(), 0.9), (emcee.moves.DEMove(gamma0=1.0), 0.1)]
+
+
+def _with_independent(walk: Moves, proposal: Proposal) -> Moves:
+    """Return a mix of independent proposals and a walk."""
+
+    def propose(x: FloatArray, random: RandomState) -> tuple[FloatArray, FloatArray]:
+        fresh = proposal.draw(len(x), random)
+        return fresh, proposal.log_density(x) - proposal.log_density(fresh)
+
+    rest = [(move, (1 - INDEPENDENT_SHARE) * share) for move, share in walk]
+    return [(emcee.moves.MHMove(propose), INDEPENDENT_SHARE), *rest]
+
+
+def _sampler(target: LogPosterior, walkers: int, moves: Moves) -> emcee.EnsembleSampler:
     sampler = emcee.EnsembleSampler(
         walkers,
         target.dimensions,
         target,
         vectorize=True,
-        moves=[(emcee.moves.DEMove(), 0.9), (emcee.moves.DEMove(gamma0=1.0), 0.1)],
+        moves=moves,
     )
     # emcee wraps the function to print a traceback of whatever comes out of it, Ctrl-C too.
     sampler.log_prob_fn = target
@@ -233,6 +278,9 @@ def _sampler(target: LogPosterior, walkers: int) -> emcee.EnsembleSampler:
 
 def _tau(chain: FloatArray) -> FloatArray:
     """Return integrated autocorrelation times, steps, of a chain (steps, walkers, d)."""
+    if not np.ptp(chain, axis=0).all():
+        # A walker that stayed at one value, as indicators may, has none: join all end to end.
+        chain = chain.swapaxes(0, 1).reshape(-1, 1, chain.shape[2])
     tau: FloatArray = emcee.autocorr.integrated_time(chain, tol=0)
     return np.maximum(tau, 1.0)
 
@@ -251,9 +299,10 @@ def _effective(chain: FloatArray) -> tuple[FloatArray, FloatArray]:
     and the highest twentieth (Vehtari et al. 2021), each by emcee's autocorrelation time.
     """
     total = chain.shape[0] * chain.shape[1] * chain.shape[2]
-    ranks = rankdata(chain.reshape(-1, chain.shape[3]), axis=0).reshape(chain.shape)
+    flat = chain.reshape(-1, chain.shape[3])
+    ranks = np.stack([rankdata(column) for column in flat.T.copy()], axis=1).reshape(chain.shape)
     fraction = (ranks - 0.375) / (total + 0.25)
-    bulk = total / np.mean([_tau(c) for c in norm.ppf(fraction)], axis=0)
+    bulk = total / np.mean([_tau(c) for c in ndtri(fraction)], axis=0)
     tails = [
         total / np.mean([_tau(c) for c in (indicator).astype(float)], axis=0)
         for indicator in (fraction < 0.05, fraction > 0.95)
@@ -274,15 +323,16 @@ def _summarise(
     common = rng.standard_normal((*kept.shape[:2], fit.by_shared.shape[1]))
     draws = kept.copy()
     draws[..., :-1] += common @ fit.by_shared.T
-    flat = draws.reshape(-1, d)
+    covariance = np.cov(kept.reshape(-1, d), rowvar=False)
+    covariance[:-1, :-1] += fit.by_shared @ fit.by_shared.T
     return Posterior(
         model=fit.model,
         names=(*fit.names, NOISE_SCALE),
         draws=draws,
         common=common,
-        mean=flat.mean(axis=0),
-        covariance=np.cov(flat, rowvar=False),
-        quantiles=np.quantile(flat, [0.025, 0.5, 0.975], axis=0).T,
+        mean=kept.reshape(-1, d).mean(axis=0),
+        covariance=covariance,
+        quantiles=np.quantile(draws.reshape(-1, d), [0.025, 0.5, 0.975], axis=0).T,
         ess_bulk=bulk,
         ess_tail=tail,
         r_hat=r_hat,

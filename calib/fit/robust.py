@@ -2,13 +2,16 @@
 
 Errors in x1c, y1c, alpha2, the gaze residual and z_ref all enter the weights; the loss is the
 Student-t density of `calib.fit.noise`; priors and measured knowledge enter as residuals. Noise
-scale and weights are brought into agreement with the estimate by a few rounds.
+scale and weights are brought into agreement with the estimate by a few rounds, first with robust
+tails, which find the outliers; then, these set aside, with nearly normal ones, which lose little of
+what the other rows say (a high breakdown first and efficiency after it, as the MM-estimates of
+Yohai 1987, doi 10.1214/aos/1176350366).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -17,23 +20,35 @@ from calib.arrays import BoolArray, FloatArray
 from calib.errors import EstimationError
 from calib.fit.linear import residual_mrad
 from calib.fit.noise import (
-    CORE,
-    DOF,
-    EFFICIENCY,
+    CLEAN,
     KEPT_SHARE,
+    ROBUST,
+    SPARE_FREEDOM,
+    Tails,
     is_outlier,
     row_noise,
     set_aside,
     weight,
 )
 from calib.fit.priors import NormalKnowledge, Priors, measured_of, prior_of
-from calib.fit.start import find_start
+from calib.fit.start import find_start, some_rows
+from calib.geometry.closure import closure, closure_value
 from calib.geometry.parameters import MODELS, PARAMETERS, Model, embed
-from calib.geometry.plane import closure, closure_value
 from calib.observations import Observations
 
 ROUNDS = 12
 """Rounds of fit, weights and noise scale; they agree to six digits after three or four."""
+
+FINAL, ROUGH = 1e-9, 1e-3
+"""Relative change of estimate and scale at which rounds end; it takes no more than the second to
+tell outliers from other rows."""
+
+ROUGH_ROWS = 20_000
+"""Rows that are enough for that: they tell the scale to half a percent."""
+
+AS_STATED = 2.0
+"""Noise scale up to which few rows pass for clean. One gross error among six rows is hardly ever
+named, as it bends the fit; but it makes the scale five and more."""
 
 SPARE_ROWS = 3
 """Rows beyond the parameters: fewer leave the noise scale to its prior."""
@@ -74,6 +89,10 @@ class RobustFit:
         Factor by which the stated uncertainties are too small (above 1) or too large.
     outliers
         Rows that disagree with the others, by id.
+    aside
+        Which rows say nothing, shape (n,): outliers, where enough other rows remain.
+    tails
+        Of the rows' density.
     data_parameters
         Effective number of parameters that the rows decide (the rest is decided by priors).
     identified_by
@@ -94,15 +113,12 @@ class RobustFit:
     standardised: FloatArray
     noise_scale: float
     outliers: tuple[str, ...]
+    aside: BoolArray
+    tails: Tails
     data_parameters: float
     identified_by: tuple[str, ...]
     data_share: FloatArray
     evaluations: int
-
-    @property
-    def aside(self) -> BoolArray:
-        """Which rows the posterior leaves out as outliers, shape (n,)."""
-        return set_aside(self.standardised, self.noise_scale, parameters=self.data_parameters)
 
     @property
     def theta(self) -> FloatArray:
@@ -110,16 +126,17 @@ class RobustFit:
         return embed(self.values, self.names)
 
 
-def _loss(rows: int, scale: float) -> Callable[..., FloatArray]:
+def _loss(rows: int, scale: float, tails: Tails) -> Callable[..., FloatArray]:
     """Return scipy's loss: Student-t for the first `rows` residuals, quadratic for priors."""
-    width = DOF * (CORE * scale) ** 2
+    count = tails.dof + 1
+    width = tails.dof * (tails.core * scale) ** 2
 
     def loss(square: FloatArray) -> FloatArray:
         rho = np.stack([square, np.ones_like(square), np.zeros_like(square)])
         ratio = 1 + square[:rows] / width
-        rho[0, :rows] = (DOF + 1) * np.log(ratio)
-        rho[1, :rows] = (DOF + 1) / (width * ratio)
-        rho[2, :rows] = -(DOF + 1) / (width * ratio) ** 2
+        rho[0, :rows] = count * np.log(ratio)
+        rho[1, :rows] = count / (width * ratio)
+        rho[2, :rows] = -count / (width * ratio) ** 2
         return rho
 
     return loss
@@ -127,18 +144,20 @@ def _loss(rows: int, scale: float) -> Callable[..., FloatArray]:
 
 @dataclass(frozen=True)
 class _Problem:
-    """Rows, model and knowledge of one fit."""
+    """Rows, model, knowledge and tails of one fit."""
 
     rows: Observations
     model: Model
-    knowledge: NormalKnowledge
+    prior: NormalKnowledge
+    measured: NormalKnowledge
     noise_prior: tuple[float, float]
+    tails: Tails
 
     def minimise(
         self, start: FloatArray, sigma: FloatArray, scale: float
     ) -> tuple[FloatArray, int]:
         """Return the free parameters of greatest density at fixed weights and noise scale."""
-        a, b = self.knowledge.root()
+        a, b = (self.prior + self.measured).root()
         gaze, z, free = self.rows.gaze, self.rows.z_mm, list(self.model.indices)
 
         def residual(x: FloatArray) -> FloatArray:
@@ -154,7 +173,7 @@ class _Problem:
             residual,
             start,
             jac=jacobian,
-            loss=_loss(len(z), scale),
+            loss=_loss(len(z), scale, self.tails),
             x_scale=np.array([PARAMETERS[i].scale for i in free]),
             xtol=1e-12,
             ftol=1e-14,
@@ -176,14 +195,14 @@ class _Problem:
         the normal prior is on the logarithm.
         """
         mean, std = self.noise_prior
-        count = len(standardised)
+        dof, count = self.tails.dof, len(standardised)
         freedom = max(count - parameters, 0.0) / count
         log_scale = mean
         for _ in range(100):
-            square = (standardised / CORE) ** 2 * np.exp(-2 * log_scale)
-            pull = (DOF + 1) * square / (DOF + square)
+            square = (standardised / self.tails.core) ** 2 * np.exp(-2 * log_scale)
+            pull = (dof + 1) * square / (dof + square)
             slope = float(pull.sum()) - count * freedom - (log_scale - mean) / std**2
-            curvature = float((2 * (DOF + 1) * DOF * square / (DOF + square) ** 2).sum()) + std**-2
+            curvature = float((2 * (dof + 1) * dof * square / (dof + square) ** 2).sum()) + std**-2
             step = float(np.clip(slope / curvature, -1, 1))
             log_scale += step
             if abs(step) < 1e-12:
@@ -208,8 +227,26 @@ class _Problem:
         c = closure(theta, self.rows.gaze, self.rows.z_mm, parameters=self.model.indices)
         slope = c.by_theta / (sigma * scale)[:, None]
         slope = slope[~is_outlier(c.value / sigma, scale)]
-        information: FloatArray = EFFICIENCY * slope.T @ slope
+        information: FloatArray = self.tails.efficiency * slope.T @ slope
         return information
+
+    def settle(self, theta: FloatArray, scale: float, *, accuracy: float = FINAL) -> _Solution:
+        """Return the estimate, from a start, with the weights and the scale that agree with it."""
+        rows, free = self.rows, theta[list(self.model.indices)]
+        sigma = row_noise(theta, rows).sigma
+        evaluations = 0
+        for _ in range(ROUNDS):
+            before = np.append(free, scale)
+            free, count = self.minimise(free, sigma, scale)
+            evaluations += count
+            theta = embed(free, self.model.free)
+            sigma = row_noise(theta, rows).sigma
+            data = self.information(theta, sigma, scale) + self.measured.precision
+            decided = float(np.trace(_inverse(data + self.prior.precision, self.model) @ data))
+            scale = self.clean_scale(closure_value(theta, rows.gaze, rows.z_mm) / sigma, decided)
+            if np.allclose(np.append(free, scale), before, rtol=accuracy, atol=1e-12):
+                break
+        return _Solution(theta, scale, decided, data, evaluations)
 
 
 def fit_model(rows: Observations, priors: Priors, *, model: str) -> RobustFit:
@@ -260,38 +297,49 @@ def fit_robust(
     EstimationError
         If the rows do not determine the model or the optimiser does not converge.
     """
-    prior, measured = prior_of(model, priors), measured_of(model, priors)
-    problem = _Problem(rows, model, prior + measured, priors.noise_scale)
+    problem = _Problem(
+        rows=rows,
+        model=model,
+        prior=prior_of(model, priors),
+        measured=measured_of(model, priors),
+        noise_prior=priors.noise_scale,
+        tails=ROBUST,
+    )
     theta = find_start(rows, axis_z="axis_z_mm" in model.free) if start is None else start
-    free = theta[list(model.indices)]
-    sigma = row_noise(theta, rows).sigma
-    scale = problem.noise_scale(closure_value(theta, rows.gaze, rows.z_mm) / sigma, 0.0)
-    evaluations = 0
-    for _ in range(ROUNDS):
-        before = np.append(free, scale)
-        free, count = problem.minimise(free, sigma, scale)
-        evaluations += count
-        theta = embed(free, model.free)
-        sigma = row_noise(theta, rows).sigma
-        data = problem.information(theta, sigma, scale) + measured.precision
-        decided = float(np.trace(_inverse(data + prior.precision, model) @ data))
-        scale = problem.clean_scale(closure_value(theta, rows.gaze, rows.z_mm) / sigma, decided)
-        if np.allclose(np.append(free, scale), before, rtol=1e-9, atol=1e-12):
-            break
-    fit = _Solution(theta, sigma, scale, decided, data, evaluations)
-    return _describe(problem, prior, fit)
+    some = replace(problem, rows=some_rows(rows, ROUGH_ROWS))
+    scale = some.noise_scale(_standardised(theta, some.rows), 0.0)
+    found = some.settle(theta, scale, accuracy=ROUGH)
+    standardised = _standardised(found.theta, rows)
+    aside = set_aside(standardised, found.scale, parameters=found.decided)
+    plain = np.array_equal(aside, is_outlier(standardised, found.scale))
+    if plain and found.hides_no_outlier(len(rows)):
+        problem = replace(problem, rows=rows.take(~aside) if aside.any() else rows, tails=CLEAN)
+    final = problem.settle(found.theta, found.scale)
+    final = replace(final, evaluations=found.evaluations + final.evaluations)
+    return _describe(problem, final, rows, aside)
+
+
+def _standardised(theta: FloatArray, rows: Observations) -> FloatArray:
+    """Return the closures over their stated uncertainties, shape (n,)."""
+    standardised: FloatArray = closure_value(theta, rows.gaze, rows.z_mm) / (
+        row_noise(theta, rows).sigma
+    )
+    return standardised
 
 
 @dataclass(frozen=True)
 class _Solution:
-    """What the rounds of `fit_robust` arrive at."""
+    """What the rounds of a fit arrive at; `decided` and `data` without the priors' part."""
 
     theta: FloatArray
-    sigma: FloatArray
     scale: float
     decided: float
     data: FloatArray
     evaluations: int
+
+    def hides_no_outlier(self, rows: int) -> bool:
+        """Whether so many rows would show an outlier, or scatter about as stated."""
+        return rows - self.decided >= SPARE_FREEDOM or self.scale <= AS_STATED
 
 
 def _inverse(information: FloatArray, model: Model) -> FloatArray:
@@ -309,13 +357,19 @@ def _inverse(information: FloatArray, model: Model) -> FloatArray:
     return inverse
 
 
-def _describe(problem: _Problem, prior: NormalKnowledge, fit: _Solution) -> RobustFit:
-    """Return the fit with its uncertainties and what decided each parameter."""
-    rows, model = problem.rows, problem.model
+def _describe(problem: _Problem, fit: _Solution, rows: Observations, aside: BoolArray) -> RobustFit:
+    """Return the fit with its uncertainties and what decided each parameter.
+
+    Parameters
+    ----------
+    rows, aside
+        All rows, and which of them `problem` has not.
+    """
+    model, prior = problem.model, problem.prior
     own = _inverse(fit.data + prior.precision, model)
     by_shared = _by_shared(problem, fit)
-    standardised = closure_value(fit.theta, rows.gaze, rows.z_mm) / fit.sigma
-    outlier = is_outlier(standardised, fit.scale)
+    standardised = _standardised(fit.theta, rows)
+    outlier = aside | is_outlier(standardised, fit.scale)
     residual = residual_mrad(fit.theta, rows)
     freedom = max(float(np.sum(~outlier)) - fit.decided, 1.0)
     # A trace of the prior keeps the matrix regular where the data say nothing at all.
@@ -332,6 +386,8 @@ def _describe(problem: _Problem, prior: NormalKnowledge, fit: _Solution) -> Robu
         standardised=standardised,
         noise_scale=fit.scale,
         outliers=tuple(i for i, bad in zip(rows.ids, outlier, strict=True) if bad),
+        aside=aside,
+        tails=problem.tails,
         data_parameters=fit.decided,
         identified_by=tuple(identified_by(x) for x in share),
         data_share=share,
@@ -363,13 +419,14 @@ def _by_shared(problem: _Problem, fit: _Solution) -> FloatArray:
     By the implicit function theorem on the weighted normal equations, with the weights that the
     loss leaves each row.
     """
-    rows, model = problem.rows, problem.model
+    rows, model, tails = problem.rows, problem.model, problem.tails
     if not rows.shared_names:
         return np.zeros((len(model.free), 0))
     c = closure(fit.theta, rows.gaze, rows.z_mm, parameters=model.indices)
-    pull = np.sqrt(weight(c.value / fit.sigma, fit.scale)) / (CORE * fit.scale * fit.sigma)
-    slope = pull[:, None] * c.by_theta
-    push = pull[:, None] * np.einsum("nq,nqk->nk", c.by_observable, rows.shared)
-    normal = _inverse(slope.T @ slope + problem.knowledge.precision, model)
-    change: FloatArray = -normal @ (slope.T @ push)
+    sigma = row_noise(fit.theta, rows).sigma
+    strength = np.sqrt(weight(c.value / sigma, fit.scale, tails)) / (tails.core * fit.scale * sigma)
+    slope = strength[:, None] * c.by_theta
+    push = strength[:, None] * np.einsum("nq,nqk->nk", c.by_observable, rows.shared)
+    known = problem.prior.precision + problem.measured.precision
+    change: FloatArray = -_inverse(slope.T @ slope + known, model) @ (slope.T @ push)
     return change

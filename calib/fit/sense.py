@@ -10,8 +10,8 @@ from calib.errors import EstimationError
 from calib.fit.noise import log_density, row_noise
 from calib.fit.start import SCALE_GRID, find_start, some_rows
 from calib.gates import Gate
+from calib.geometry.closure import closure_value
 from calib.geometry.parameters import INDEX
-from calib.geometry.plane import closure_value
 from calib.observations import Observations
 
 DECISIVE = 5.0

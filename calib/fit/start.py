@@ -8,8 +8,8 @@ from calib.arrays import FloatArray
 from calib.errors import EstimationError
 from calib.fit.linear import fit_bilinear
 from calib.fit.noise import log_density, row_noise
+from calib.geometry.closure import closure_value
 from calib.geometry.parameters import vector
-from calib.geometry.plane import closure_value
 from calib.observations import Observations
 
 TRIMMED_STARTS = 60
@@ -29,11 +29,11 @@ SCALE_GRID = np.linspace(-3.0, 6.0, 91)
 """Logarithms of the noise scales among which a start's likelihood is maximised."""
 
 
-def some_rows(rows: Observations) -> Observations:
-    """Return `SEARCH_ROWS` rows of a longer table, evenly from all of it."""
-    if len(rows) <= SEARCH_ROWS:
+def some_rows(rows: Observations, most: int = SEARCH_ROWS) -> Observations:
+    """Return at most so many rows, evenly from all of a longer table."""
+    if len(rows) <= most:
         return rows
-    return rows.take(np.linspace(0, len(rows) - 1, SEARCH_ROWS).astype(np.int64))
+    return rows.take(np.linspace(0, len(rows) - 1, most).astype(np.int64))
 
 
 def first_guess(rows: Observations) -> FloatArray:
@@ -59,8 +59,10 @@ def _trimmed(rows: Observations, sigma: FloatArray, *, axis_z: bool) -> FloatArr
     # A fixed design: the same table always gets the same start.
     design = np.random.default_rng(0)
     best, best_cost = None, np.inf
-    for _ in range(TRIMMED_STARTS):
-        keep = design.choice(count, size=min(3, count), replace=False)
+    drawn = [design.choice(count, size=min(3, count), replace=False) for _ in range(TRIMMED_STARTS)]
+    # Of few rows there are few triples.
+    for triple in {frozenset(triple.tolist()): triple for triple in drawn}.values():
+        keep = triple
         try:
             for _ in range(CONCENTRATION_STEPS):
                 weights = np.zeros(count)

@@ -9,7 +9,7 @@ from numpy.random import SeedSequence
 
 from calib.arrays import FloatArray
 from calib.errors import CalibError
-from calib.fit.identifiability import row_information
+from calib.fit.information import row_information
 from calib.fit.priors import Priors, prior_of
 from calib.fit.robust import fit_model
 from calib.geometry.parameters import MODELS

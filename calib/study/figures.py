@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from types import MappingProxyType
 from typing import Any
 
@@ -58,9 +59,9 @@ def _figure(rows: int, columns: int = 1) -> tuple[Figure, list[Axes]]:
     return figure, list(grid[0])
 
 
-def coverage(scores: Sequence[Score]) -> Figure | None:
+def coverage(scores: Sequence[Score], *, estimator: str = "selected") -> Figure | None:
     """Return how often 50, 90 and 95 % depth intervals hold the truth, inside and beyond."""
-    depth = [s for s in scores if s.estimator == "selected" and s.statistic.startswith("coverage")]
+    depth = [s for s in scores if s.estimator == estimator and s.statistic.startswith("coverage")]
     if not depth:
         return None
     rows = _rows(depth)
@@ -153,7 +154,12 @@ def ranks(histograms: Mapping[str, Mapping[str, np.ndarray]]) -> Figure | None:
 
 
 FIGURES: Mapping[str, Callable[[Sequence[Score]], Figure | None]] = MappingProxyType(
-    {"coverage": coverage, "pulls": pulls, "efficiency": efficiency}
+    {
+        "coverage": coverage,
+        "coverage-averaged": partial(coverage, estimator="averaged"),
+        "pulls": pulls,
+        "efficiency": efficiency,
+    }
 )
 
 

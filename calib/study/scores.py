@@ -24,7 +24,14 @@ MOST_BINS = 20
 CLEAR_SIGMA = 5.0
 """An axis offset so many of its standard errors from 0 must not be overlooked."""
 
-EXTENDED = "axis-offset"
+SIMPLE, EXTENDED = "base", "axis-offset"
+
+RASH = ", base selected"
+"""Of rigs that `base` does not describe, those on which it was selected all the same."""
+
+DEPTHS = (("depths", "selected", "measure"), ("averaged", "averaged", "measure averaged"))
+"""Key of the record, name of the estimator, and name of what `calib measure` makes of it."""
+
 NOISE = "noise_scale"
 
 
@@ -37,9 +44,9 @@ class Score:
     condition
         Name of the condition.
     subject
-        A parameter, "depth inside", "depth beyond", "model" or "rigs".
+        A parameter, "depth inside" or "depth beyond", with `RASH` added or not, "model" or "rigs".
     estimator
-        Whose figure it is: linear, bilinear, robust, posterior, selected, measure, or a model.
+        Whose figure it is: linear, bilinear, robust, posterior, a model, or of `DEPTHS`.
     statistic
         Bias in units of the bound, efficiency, pull_rms, coverage50, coverage90, coverage95,
         uniformity_p, u_rel, share, count.
@@ -79,7 +86,10 @@ def _condition(name: str, records: Sequence[Record]) -> Iterator[Score]:
     yield from _parameters(name, records)
     yield from _noise(name, records)
     for part in (INSIDE, BEYOND):
-        yield from _depths(name, part, records)
+        yield from _depths(name, f"depth {part}", part, records)
+        rash = [r for r in records if r["selected"] == SIMPLE]
+        if CONDITIONS[name].model != SIMPLE and rash:
+            yield from _depths(name, f"depth {part}{RASH}", part, rash)
     if len(CONDITIONS[name].fitted) > 1:
         yield from _selection(name, records)
 
@@ -179,18 +189,21 @@ def _uniformity(name: str, subject: str, ranks: FloatArray, *, tests: int) -> Sc
     return Score(name, subject, "posterior", "uniformity_p", min(1.0, p * tests), None, len(ranks))
 
 
-def _depths(name: str, part: str, records: Sequence[Record]) -> Iterator[Score]:
-    subject = f"depth {part}"
-    depths = [r["depths"][part] for r in records]
-    yield from _coverage(name, subject, "selected", [d["rank"] for d in depths])
-    hits = np.array([np.mean(d["measure95"]) for d in depths if d["measure95"]])
-    yield Score(name, subject, "measure", "coverage95", *_mean(hits), len(hits))
-    widths = np.array([np.median(d["u_rel"]) for d in depths if d["u_rel"]])
-    yield Score(name, subject, "selected", "u_rel", float(np.median(widths)), None, len(widths))
-    biases = np.array(
-        [np.mean(np.array(d["error_rel"]) / d["u_rel"]) for d in depths if d["u_rel"]], dtype=float
-    )
-    yield Score(name, subject, "selected", "bias", *_mean(biases), len(biases))
+def _depths(name: str, subject: str, part: str, records: Sequence[Record]) -> Iterator[Score]:
+    for key, estimator, command in DEPTHS:
+        depths = [r[key][part] for r in records if key in r]
+        if not any(d["rank"] for d in depths):
+            continue
+        yield from _coverage(name, subject, estimator, [d["rank"] for d in depths])
+        hits = np.array([np.mean(d["measure95"]) for d in depths if d["measure95"]])
+        yield Score(name, subject, command, "coverage95", *_mean(hits), len(hits))
+        widths = np.array([np.median(d["u_rel"]) for d in depths if d["u_rel"]])
+        yield Score(name, subject, estimator, "u_rel", float(np.median(widths)), None, len(widths))
+        biases = np.array(
+            [np.mean(np.array(d["error_rel"]) / d["u_rel"]) for d in depths if d["u_rel"]],
+            dtype=float,
+        )
+        yield Score(name, subject, estimator, "bias", *_mean(biases), len(biases))
 
 
 def _selection(name: str, records: Sequence[Record]) -> Iterator[Score]:

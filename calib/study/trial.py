@@ -7,7 +7,6 @@ computation; everything else (fits, selection, depth intervals) is the chain's c
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -16,27 +15,19 @@ from numpy.random import Generator, SeedSequence
 from calib.arrays import FloatArray
 from calib.errors import CalibError
 from calib.fit.compare import compare_samples
-from calib.fit.density import log_posterior
 from calib.fit.importance import ImportanceSample, sample_importance
 from calib.fit.linear import fit_bilinear, fit_linear
 from calib.fit.noise import row_noise
-from calib.fit.posterior import laplace
+from calib.fit.posterior import laplace, posterior_of
 from calib.fit.priors import prior_of
 from calib.fit.robust import RobustFit, fit_model
 from calib.fit.start import first_guess
+from calib.geometry.closure import closure
 from calib.geometry.parameters import MODELS, Model
-from calib.geometry.plane import OBSERVABLE, closure
-from calib.instrument import CalibratedInstrument, instrument_from_draws, tabulate_depths
+from calib.instrument import CalibratedInstrument, instrument_from_draws
 from calib.study.conditions import Condition
+from calib.study.depths import DRAWS, depth_record, model_depths
 from calib.study.rigs import Bench, set_up
-from calib.uncertainty.predictive import depth_draws, linear_positions
-
-DRAWS = 4000
-"""Draws of equal weight that an instrument gets, and of a predictive distribution: the ends of a
-95 % interval are then known to 4 % of u, far below their scatter from rig to rig."""
-
-GRID = 5
-"""Depths of the table that `calib measure` has its coverage factor from; the chain takes 21."""
 
 DIGITS = 6
 """Significant digits of the figures kept."""
@@ -64,35 +55,48 @@ def _calibrated(condition: Condition, bench: Bench, seeds: list[SeedSequence]) -
     fits, samples = {}, {}
     for name in condition.fitted:
         fits[name] = fit_model(bench.rows, bench.priors, model=name)
-        target = log_posterior(
-            bench.rows, MODELS[name], bench.priors, fits[name].theta, aside=fits[name].aside
-        )
+        target = posterior_of(fits[name], bench.rows, bench.priors)
         samples[name] = sample_importance(target, *laplace(fits[name], target), rng)
     comparison = compare_samples(bench.rows, fits, samples, bench.priors, seed=for_comparison)
     selected = comparison.selected
     fit, sample = fits[selected], samples[selected]
-    draws = with_shared(sample.equally_weighted(DRAWS, rng), fit, rng)
-    calibrated = instrument_from_draws(draws, fit, bench.rows, bench.setup)
     scores = {score.model: score.loo for score in comparison.scores}
+    weights = {score.model: score.averaging_weight for score in comparison.scores}
+    depths = {
+        name: model_depths(
+            _instrument(fits[name], samples[name], bench, rng), bench, for_depths, for_table
+        )
+        for name in fits
+    }
+    chosen = depths[selected]
     record: Record = {
         "selected": selected,
         "loo": scores,
         "k_hat": sample.k_hat,
         "ess": sample.ess,
         "noise_scale": [fit.noise_scale, *_standing(sample, -1, float(np.log(bench.noise_scale)))],
-        "depths": _depths(calibrated, bench, for_depths, for_table),
+        "factor95": chosen.factor95,
+        "noise_factor": chosen.noise_factor,
+        "depths": depth_record([1.0], [chosen], bench),
     }
+    if len(fits) > 1:
+        record["weights"] = weights
+        record["averaged"] = depth_record(
+            [weights[name] for name in depths], list(depths.values()), bench
+        )
     if condition.model in fits:
         record["parameters"] = _parameters(bench, fits[condition.model], samples[condition.model])
     return record
 
 
-def with_shared(draws: FloatArray, fit: RobustFit, rng: Generator) -> FloatArray:
-    """Return draws, shape (m, p + 1), with the errors that all rows share added."""
+def _instrument(
+    fit: RobustFit, sample: ImportanceSample, bench: Bench, rng: Generator
+) -> CalibratedInstrument:
+    """Return the instrument as one model describes it."""
+    draws = sample.equally_weighted(DRAWS, rng)
     common = rng.standard_normal((len(draws), fit.by_shared.shape[1]))
-    widened = draws.copy()
-    widened[:, :-1] += common @ fit.by_shared.T
-    return widened
+    draws[:, :-1] += common @ fit.by_shared.T
+    return instrument_from_draws(draws, common, fit, bench.rows, bench.setup)
 
 
 def _standing(sample: ImportanceSample, column: int, truth: float) -> tuple[float, float, float]:
@@ -165,48 +169,6 @@ def _linear_estimates(bench: Bench, model: Model) -> Mapping[str, Mapping[str, f
         "bilinear": {n: float(theta[i]) for n, i in zip(model.free, model.indices, strict=True)
                      if n in solved},
     }  # fmt: skip
-
-
-@dataclass(frozen=True)
-class _Line:
-    """How `calib measure` makes an interval: 1 / z ± factor u(1 / z)."""
-
-    factor: float
-
-    def covers(self, z: FloatArray, u: FloatArray, truth: FloatArray) -> FloatArray:
-        hit: FloatArray = (np.abs(1 / truth - 1 / z) <= self.factor * u / z**2).astype(float)
-        return hit
-
-
-def _depths(
-    calibrated: CalibratedInstrument, bench: Bench, for_depths: SeedSequence, table: SeedSequence
-) -> Record:
-    """Return, by part: relative errors, uncertainties, and where the truth stands."""
-    low, high = calibrated.calibrated_mm
-    line = _Line(
-        tabulate_depths(calibrated, low_mm=low, high_mm=high, seed=table, points=GRID).factor95
-    )
-    record: Record = {"factor95": line.factor, "noise_factor": calibrated.noise_factor}
-    for part, rows in bench.tests.items():
-        truth = bench.true_depths_mm[part]
-        loadings = rows.shared[:, : OBSERVABLE.z] if rows.shared_names else None
-        linear = linear_positions(calibrated.instrument, rows.gaze, loadings)
-        z = linear.position_mm[:, 2]
-        u: FloatArray = np.sqrt(linear.covariance_mm2[:, 2, 2])
-        every = depth_draws(
-            calibrated.instrument,
-            rows.gaze,
-            np.random.default_rng(for_depths),
-            loadings=loadings,
-            most=DRAWS,
-        )
-        record[part] = {
-            "rank": [float(np.mean(d < t)) for d, t in zip(every, truth, strict=True)],
-            "error_rel": z / truth - 1,
-            "u_rel": u / z,
-            "measure95": line.covers(z, u, truth),
-        }
-    return record
 
 
 def _plain(value: Any) -> Any:

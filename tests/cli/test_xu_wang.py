@@ -7,6 +7,7 @@ The bounds are those of the rounding in print, or four standard deviations of th
 
 from __future__ import annotations
 
+import base64
 import csv
 import json
 import tomllib
@@ -16,6 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 from command import DATASETS, Ended, process
+from dcc_schema import checked, sources, texts
 
 from calib.geometry.parameters import vector
 from calib.geometry.plane import Gaze, depth
@@ -78,6 +80,38 @@ def test_robust_fit_finds_the_axis_behind(result: dict[str, Any]) -> None:
     assert any("eccentricity_mm" in text for text in result["warnings"])
 
 
+def test_rows_cannot_tell_baseline_from_eccentricity(result: dict[str, Any]) -> None:
+    """Said in words, as warning and beside the numbers; no fault, as depth does not hang on it."""
+    told = result["identifiability"]["axis-offset"]
+    last = told["combinations"][-1]
+    assert "cannot tell L_b from e" in last["words"]
+    assert any(last["words"] in text for text in result["warnings"])
+    assert last["singular_value"] < 1 < told["combinations"][-2]["singular_value"]
+    assert told["parameters"]["eccentricity_mm"]["decided_by"] == "prior"
+    assert "std_rows_and_sweep" not in told["parameters"]["eccentricity_mm"]
+    assert told["correlation"][0][3] < -0.99
+    (gate,) = (gate for gate in result["gates"] if gate["name"] == "identified")
+    assert gate["passed"]
+    assert told["depth_std_rel"] < 0.01
+    assert result["identifiability"]["base"]["combinations"][-1]["told_by"] == "rows"
+
+
+def test_digital_certificate_says_what_the_other_files_say(
+    result: dict[str, Any], out: Path
+) -> None:
+    root = checked((out / "certificate.xml").read_bytes())
+    (page,) = texts(root, "dcc:document/dcc:dataBase64")
+    assert base64.b64decode(page) == (out / "certificate.html").read_bytes()
+    assert texts(root, ".//dcc:coreData/dcc:identifications/dcc:identification/dcc:value") == [
+        result["dataset"]["sha256"],
+        "xu-wang-2017",
+    ]
+    found = sources(root)
+    assert len(found) >= 3
+    # Coordinates are given and their lens is not calibrated here: no error is shared.
+    assert all(names == {"parameters", "x1c", "α2", "α2, resolution"} for names in found)
+
+
 def test_posterior_has_converged(result: dict[str, Any]) -> None:
     for model in ("base", "axis-offset"):
         posterior = result["fits"][f"{model}/posterior"]
@@ -86,6 +120,33 @@ def test_posterior_has_converged(result: dict[str, Any]) -> None:
             assert found["ess"] >= 4000, name
             assert found["rhat"] < 1.01, name
             assert found["q2.5"] < found["q50"] < found["q97.5"]
+
+
+def test_average_over_the_models_is_that_of_the_clear_winner(
+    result: dict[str, Any], out: Path, tmp_path: Path
+) -> None:
+    """Property: base has lost by 14 nats, so that the average is axis-offset's own result."""
+    shares = {share["model"]: share["weight"] for share in result["measurement"]["average"]}
+    assert shares.keys() == {score["model"] for score in result["comparison"]}
+    assert sum(shares.values()) == pytest.approx(1.0)
+    assert shares["axis-offset"] > 0.99
+    for one, all_ in zip(
+        result["depth_uncertainty"], result["depth_uncertainty_average"], strict=True
+    ):
+        # Monte Carlo quantiles beside the closed form: 5 % of an interval's length.
+        length = one["high95_mm"] - one["low95_mm"]
+        assert all_["mean_mm"] == pytest.approx(one["z_mm"], abs=0.05 * length)
+        assert all_["low95_mm"] == pytest.approx(one["low95_mm"], abs=0.05 * length)
+        assert all_["high95_mm"] == pytest.approx(one["high95_mm"], abs=0.05 * length)
+    table = tmp_path / "t.csv"
+    table.write_text("id,x1c,y1c,alpha2_deg\na,0.05,0.1,87\n")
+    found = [
+        process("measure", out / "calibration.json", table, "--model", model).out.splitlines()[1]
+        for model in ("selected", "axis-offset", "average")
+    ]
+    depths = [float(line.split(",")[3]) for line in found]
+    assert depths[0] == depths[1]
+    assert depths[2] == pytest.approx(depths[0], rel=1e-4)
 
 
 def test_models_that_the_data_cannot_carry_say_why(result: dict[str, Any]) -> None:

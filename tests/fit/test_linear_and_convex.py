@@ -13,7 +13,7 @@ from calib.fit.convex import fit_convex
 from calib.fit.linear import fit_bilinear, fit_linear
 from calib.fit.noise import row_noise
 from calib.fit.start import first_guess
-from calib.geometry.plane import closure
+from calib.geometry.closure import closure
 
 
 def test_table_1_gives_the_papers_result() -> None:

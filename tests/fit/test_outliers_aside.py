@@ -9,10 +9,9 @@ import pytest
 from numpy.random import SeedSequence
 
 from calib.fit.compare import compare_samples
-from calib.fit.density import log_posterior
 from calib.fit.importance import ImportanceSample, sample_importance
-from calib.fit.noise import SPARE_FREEDOM, set_aside
-from calib.fit.posterior import laplace
+from calib.fit.noise import CLEAN, ROBUST, SPARE_FREEDOM, Tails, set_aside
+from calib.fit.posterior import laplace, posterior_of
 from calib.fit.priors import Priors
 from calib.fit.robust import RobustFit, fit_robust
 from calib.geometry.parameters import MODELS
@@ -24,9 +23,9 @@ PRIORS = Priors({})
 SPOILT = (3, 11, 17)
 
 
-def rows_of(number: int, *, count: int = 30) -> Observations:
+def rows_of(number: int, *, count: int = 30, model: str = "axis-offset") -> Observations:
     rng = np.random.default_rng((8, number))
-    rig = draw_rig(rng, model="axis-offset")
+    rig = draw_rig(rng, model=model)
     return simulate_rows(rig, rng, count=count, depth_range_mm=rig.depth_range_mm).observed
 
 
@@ -39,7 +38,7 @@ def spoil(rows: Observations, which: tuple[int, ...] = SPOILT) -> Observations:
 
 def fitted(rows: Observations, model: str) -> tuple[RobustFit, ImportanceSample]:
     fit = fit_robust(rows, MODELS[model], PRIORS)
-    target = log_posterior(rows, MODELS[model], PRIORS, fit.theta, aside=fit.aside)
+    target = posterior_of(fit, rows, PRIORS)
     return fit, sample_importance(target, *laplace(fit, target), np.random.default_rng(0))
 
 
@@ -90,6 +89,27 @@ def test_few_rows_are_all_kept() -> None:
     many = np.append(standardised, np.full(6, 0.3))
     assert set_aside(many, 1.0, parameters=2.0).sum() == 1
     assert not set_aside(many, 1.0, parameters=11 - SPARE_FREEDOM + 0.1).any()
+
+
+@pytest.mark.parametrize(
+    ("count", "gross", "tails"),
+    [
+        (14, (), CLEAN),
+        (14, (3, 11), CLEAN),
+        (8, (2,), ROBUST),
+        (6, (), CLEAN),
+        (6, (2,), ROBUST),
+    ],
+)
+def test_tails_are_robust_where_outliers_stay_in(
+    count: int, gross: tuple[int, ...], tails: Tails
+) -> None:
+    """Nearly normal rows: those of clean tables, and those left once all outliers are aside."""
+    for number in range(3):
+        rows = spoil(rows_of(number, count=count, model="base"), gross)
+        fit = fit_robust(rows, MODELS["base"], PRIORS)
+        assert fit.tails == tails
+        assert tuple(np.flatnonzero(fit.aside)) == (gross if tails == CLEAN else ())
 
 
 def test_too_many_are_no_outliers() -> None:

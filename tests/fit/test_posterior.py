@@ -8,15 +8,15 @@ from fit_rows import NO_PRIORS, simulated, table_1
 from numpy.random import SeedSequence
 from scipy.stats import multivariate_normal
 
-from calib.fit.compare import compare_models, select, stacking_weights
-from calib.fit.density import LEARNING_RATE, log_posterior
+from calib.fit.compare import compare_models, select
+from calib.fit.density import log_posterior
 from calib.fit.importance import sample_importance
-from calib.fit.noise import log_density, row_noise
+from calib.fit.noise import CLEAN, log_density, row_noise
 from calib.fit.posterior import ENSEMBLES, Posterior, laplace, sample_posterior
 from calib.fit.priors import NOISE_SCALE, Measured, Priors, measured_of, prior_of
 from calib.fit.robust import RobustFit, fit_robust
+from calib.geometry.closure import closure
 from calib.geometry.parameters import MODELS, embed
-from calib.geometry.plane import closure
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +41,7 @@ def test_log_posterior_is_the_sum_of_its_parts(name: str) -> None:
     rows, theta = simulated(rng, count=17, axis_z_mm=-20.0)
     measured = Measured(("eccentricity_mm",), np.array([2.0]), np.array([[0.5]]))
     priors = Priors({"axis_z_mm": (-10.0, 5.0), NOISE_SCALE: (0.2, 0.5)}, measured)
-    target = log_posterior(rows, model, priors, theta)
+    target = log_posterior(rows, model, priors, theta, tails=CLEAN)
     x = np.array([theta[i] for i in (*model.indices, 0)]) + 0.0
     x[-1] = 0.1
     draws = x + 1e-3 * rng.standard_normal((5, len(x)))
@@ -53,7 +53,7 @@ def test_log_posterior_is_the_sum_of_its_parts(name: str) -> None:
         free = draw[:-1]
         quadratic = free @ knowledge.precision @ free / 2 - free @ knowledge.shift
         noise = ((draw[-1] - 0.2) / 0.5) ** 2 / 2
-        rows_part = LEARNING_RATE * log_density(miss, draw[-1]).sum()
+        rows_part = CLEAN.efficiency * log_density(miss, draw[-1], CLEAN).sum()
         expected.append(rows_part - quadratic - noise)
     np.testing.assert_allclose(np.diff(target(draws)), np.diff(expected), rtol=1e-9, atol=1e-8)
     pointwise = target.pointwise(draws)
@@ -120,27 +120,6 @@ def test_same_seed_same_draws(fits: dict[str, RobustFit], posteriors: dict[str, 
     np.testing.assert_array_less(np.abs(other.mean - again.mean), error)
 
 
-def test_sampler_keeps_variances() -> None:
-    """Closed form: chains on a target whose variance is known; guards the choice of moves.
-
-    With emcee 3.1.6's snooker move in the mix this fails by 6 %.
-    """
-    from calib.fit.posterior import _sampler  # the one place where moves are chosen
-
-    class Normal:
-        dimensions = 5
-
-        def __call__(self, x: np.ndarray) -> np.ndarray:
-            return -0.5 * (x**2).sum(axis=1)
-
-    sampler = _sampler(Normal(), 32)  # type: ignore[arg-type]
-    sampler.random_state = np.random.RandomState(0).get_state()
-    sampler.run_mcmc(np.random.RandomState(1).standard_normal((32, 5)), 12_000)
-    chain = sampler.get_chain()
-    effective = chain.shape[0] * 32 / sampler.get_autocorr_time(tol=0).max()
-    assert chain.var() == pytest.approx(1.0, abs=4 * np.sqrt(2 / effective / 5))
-
-
 def test_shared_errors_widen_the_draws(fits: dict[str, RobustFit]) -> None:
     """Property: draws contain the shared part with the loadings of the fit."""
     from dataclasses import replace
@@ -189,7 +168,7 @@ def test_rule_prefers_the_simpler_model_unless_clearly_worse() -> None:
     def score(model: str, pointwise: list[float]) -> ModelScore:
         values = np.array(pointwise)
         return ModelScore(
-            model, float(values.sum()), 0.0, values, values, (), (), None, 0.0, None, None, 0.0
+            model, float(values.sum()), 0.0, values, values, (), (), None, 0.0, None, None, 0.0, 0.0
         )
 
     base = score("base", [0.0] * 10)
@@ -201,15 +180,3 @@ def test_rule_prefers_the_simpler_model_unless_clearly_worse() -> None:
     mixed = score("axis-offset", [2.0, -1.0] * 4 + [0.0, -1.0])
     assert select([base, mixed])[0] == "base"
     assert select([replace(base, model="axis-offset", loo=-5.0), base])[0] == "base"
-
-
-def test_stacking_weights_maximise_the_mixture() -> None:
-    """Independent tool: a grid search over the simplex of two models."""
-    rng = np.random.default_rng(0)
-    pointwise = rng.normal(0, 1, (20, 2))
-    weight = stacking_weights(pointwise)
-    grid = np.linspace(0, 1, 2001)
-    density = np.exp(pointwise)
-    values = np.log(density[:, :1] * grid + density[:, 1:] * (1 - grid)).sum(axis=0)
-    assert weight.sum() == pytest.approx(1.0)
-    assert weight[0] == pytest.approx(grid[values.argmax()], abs=1e-3)

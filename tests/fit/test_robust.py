@@ -11,12 +11,12 @@ from scipy.integrate import quad
 from scipy.stats import norm
 
 from calib.errors import EstimationError
-from calib.fit.noise import CORE, DOF, EFFICIENCY, log_density, row_noise
+from calib.fit.noise import CLEAN, ROBUST, Tails, log_density, row_noise
 from calib.fit.priors import Measured, Priors
 from calib.fit.robust import fit_model, fit_robust
 from calib.fit.sense import check_sense
+from calib.geometry.closure import closure
 from calib.geometry.parameters import MODELS
-from calib.geometry.plane import closure
 
 OFFSET = MODELS["axis-offset"]
 
@@ -51,21 +51,27 @@ def test_exact_rows_give_back_the_truth(name: str) -> None:
     np.testing.assert_array_less(np.abs(fit.theta - theta)[list(model.indices)], 1e-4 * std + 1e-6)
 
 
-def test_constants_of_the_t_density() -> None:
+@pytest.mark.parametrize("tails", [ROBUST, CLEAN])
+def test_constants_of_the_t_density(tails: Tails) -> None:
     """Independent tool: SciPy's quadrature of the equations that define them."""
+    dof, width = tails.dof, tails.dof * tails.core**2
 
     def psi(x: float) -> float:
-        return (DOF + 1) * x / (DOF * CORE**2 + x * x)
+        return (dof + 1) * x / (width + x * x)
 
     def slope(x: float) -> float:
-        return (DOF + 1) * (DOF * CORE**2 - x * x) / (DOF * CORE**2 + x * x) ** 2
+        return (dof + 1) * (width - x * x) / (width + x * x) ** 2
 
     def mean(f: object) -> float:
         return float(quad(lambda x: f(x) * norm.pdf(x), -12, 12)[0])  # type: ignore[operator]
 
     assert mean(lambda x: x * psi(x)) == pytest.approx(1.0, abs=1e-8)
-    assert mean(slope) ** 2 / mean(lambda x: psi(x) ** 2) == pytest.approx(EFFICIENCY, abs=1e-8)
-    total = quad(lambda x: float(np.exp(log_density(np.array([x]), 0.3)[0])), -np.inf, np.inf)[0]
+    assert mean(slope) ** 2 / mean(lambda x: psi(x) ** 2) == pytest.approx(
+        tails.efficiency, abs=1e-8
+    )
+    total = quad(
+        lambda x: float(np.exp(log_density(np.array([x]), 0.3, tails)[0])), -np.inf, np.inf
+    )[0]
     assert total == pytest.approx(1.0, abs=1e-6)
 
 

@@ -84,6 +84,24 @@ def test_a_dishonest_posterior_is_found_out(width: float, shift: float) -> None:
     assert pulls.broken
 
 
+def test_rigs_on_which_too_simple_a_model_was_selected_are_scored_apart() -> None:
+    """By definition: of rigs with an axis offset, one in four measured by `base`, wrongly."""
+    made = [dict(r, condition="axis-offset-6", averaged=r["depths"]) for r in records()]
+    missed = {"rank": [1.0] * 20, "error_rel": [0.1] * 20, "u_rel": [0.01] * 20,
+              "measure95": [0.0] * 20}  # fmt: skip
+    for r in made[::4]:
+        r["depths"] = {"inside": missed, "beyond": missed}
+    for r in made[1::4] + made[2::4] + made[3::4]:
+        r["selected"] = "axis-offset"
+    scores = score_all(made)
+    rash = {"subject": "depth inside, base selected", "statistic": "coverage95"}
+    assert find(scores, **rash, estimator="selected").value == 0
+    assert find(scores, **rash, estimator="selected").rigs == RIGS / 4
+    assert find(scores, **rash, estimator="averaged").value == pytest.approx(0.95, abs=0.02)
+    whole = find(scores, subject="depth inside", estimator="selected", statistic="coverage95")
+    assert whole.value == pytest.approx(0.75 * 0.95, abs=0.02)
+
+
 def test_failed_rigs_are_counted_not_scored() -> None:
     made = [*records(), {"condition": "base-14", "number": RIGS, "failed": "no answer"}]
     scores = score_all(made)

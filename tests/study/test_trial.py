@@ -7,6 +7,7 @@ import csv
 import json
 import os
 import signal
+from dataclasses import replace
 from pathlib import Path
 
 import distributed
@@ -17,6 +18,7 @@ from calib.errors import UsageError
 from calib.study.advice import run_advice
 from calib.study.command import add_arguments, run
 from calib.study.conditions import CONDITIONS
+from calib.study.depths import ModelDepths, depth_record
 from calib.study.rigs import BEYOND, INSIDE, set_up
 from calib.study.run import run_study
 from calib.study.tasks import Task, key_of, perform
@@ -63,8 +65,8 @@ def test_conditions_differ_in_nothing_but_what_they_say() -> None:
 def test_bound_is_that_of_the_paper_s_two_unknowns() -> None:
     """Property: against the bound from a numerical derivative of the residual by parameters."""
     from calib.fit.noise import row_noise
+    from calib.geometry.closure import closure
     from calib.geometry.parameters import MODELS
-    from calib.geometry.plane import closure
 
     bench = set_up(CONDITIONS["base-14"], seed=1, number=0)
     theta, rows = bench.rig.theta, bench.true_rows
@@ -80,6 +82,41 @@ def test_bound_is_that_of_the_paper_s_two_unknowns() -> None:
     np.testing.assert_allclose(
         cramer_rao(MODELS["base"], bench), np.linalg.inv(slope.T @ slope), rtol=1e-5
     )
+
+
+def test_average_lies_between_the_models_and_holds_their_doubt() -> None:
+    """Property: of two equal models the mixture is either; of two that differ it is wider."""
+    bench = set_up(CONDITIONS["axis-offset-6"], seed=1, number=0)
+    truth = bench.true_depths_mm
+    one = ModelDepths(
+        factor95=2.1,
+        noise_factor=1.0,
+        z_mm={part: 1.01 * z for part, z in truth.items()},
+        u_mm={part: 0.01 * z for part, z in truth.items()},
+        below={part: np.full(len(z), 0.2) for part, z in truth.items()},
+    )
+    other = replace(
+        one,
+        z_mm={part: 0.97 * z for part, z in truth.items()},
+        below={part: np.full(len(z), 0.99) for part, z in truth.items()},
+    )
+    alone = depth_record([1.0], [one], bench)[INSIDE]
+    twice = depth_record([0.3, 0.7], [one, one], bench)[INSIDE]
+    mixed = depth_record([0.5, 0.5], [one, other], bench)[INSIDE]
+    for key, value in alone.items():
+        np.testing.assert_allclose(twice[key], value, rtol=1e-9)
+    np.testing.assert_allclose(alone["error_rel"], 0.01, rtol=1e-9)
+    np.testing.assert_allclose(mixed["error_rel"], -0.01, rtol=1e-9)
+    np.testing.assert_allclose(mixed["rank"], (0.2 + 0.99) / 2)
+    assert np.all(mixed["u_rel"] > 2 * alone["u_rel"])
+    assert np.all(mixed["measure95"] == 1)
+
+
+def test_models_are_averaged_where_there_are_several() -> None:
+    several = run_trial(CONDITIONS["base-6"], seed=5, number=0)
+    assert sum(several["weights"].values()) == pytest.approx(1.0, abs=1e-5)
+    assert len(several["averaged"][INSIDE]["rank"]) == len(several["depths"][INSIDE]["rank"])
+    assert "averaged" not in run_trial(CONDITIONS["ranks-base"], seed=5, number=0)
 
 
 def test_advice_is_recorded() -> None:
@@ -158,7 +195,7 @@ def test_command_writes_table_and_figures(
     document = json.loads((tmp_path / "scores.json").read_text())
     assert document["settings"]["seed"] == 3
     assert (status == 3) == any(claim["broken"] for claim in document["claims"])
-    for name in ("coverage", "pulls", "efficiency", "ranks"):
+    for name in ("coverage", "coverage-averaged", "pulls", "efficiency", "ranks"):
         assert (tmp_path / f"{name}.svg").read_text().startswith("<?xml")
     assert "depth intervals" in capsys.readouterr().out
 
@@ -169,3 +206,20 @@ def test_wrong_use_is_explained(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
         study("--out", str(tmp_path), "--condition", "sunshine")
     with pytest.raises(UsageError, match="no Dask scheduler answers"):
         study("--out", str(tmp_path), "--rigs", "1", "--scheduler", "tcp://127.0.0.1:9")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--rigs", "0"], "'0': give a whole number from 1"),
+        (["--jobs", "many"], "'many': give a whole number from 1"),
+        (["--seed", "-1"], "'-1': give a whole number from 0"),
+    ],
+)
+def test_wrong_numbers_are_explained(
+    arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        study(*arguments)
+    assert ended.value.code == 2
+    assert message in capsys.readouterr().err

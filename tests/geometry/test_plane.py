@@ -7,17 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from calib.geometry.closure import closure, depth_jacobian
 from calib.geometry.parameters import COUNT, MODELS, NAMES, PARAMETERS, embed, vector
-from calib.geometry.plane import (
-    OBSERVABLE,
-    Gaze,
-    closure,
-    depth,
-    depth_jacobian,
-    encoder_reading,
-    gaze_angle,
-    gaze_at,
-)
+from calib.geometry.plane import OBSERVABLE, Gaze, depth, encoder_reading, gaze_angle, gaze_at
 
 SIZE = {"mm": 8.0, "rad": 0.03, "1": 0.02}
 

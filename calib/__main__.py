@@ -65,7 +65,15 @@ def _parser() -> argparse.ArgumentParser:
     add.add_argument("calibration", type=Path, metavar="CALIBRATION.json")
     add.add_argument("table", metavar="TABLE.csv", help="- reads standard input")
     add.add_argument("--out", type=Path, metavar="CSV", help="default: standard output")
-    add.add_argument("--lengths", type=Path, metavar="CSV", help="id, from, to: distances instead")
+    instead = add.add_mutually_exclusive_group()
+    instead.add_argument(
+        "--lengths", type=Path, metavar="CSV", help="id, from, to: their distances"
+    )
+    instead.add_argument("--sources", action="store_true", help="what u(z) of each is made of")
+    add.add_argument(
+        "--model", default="selected", metavar="NAME",
+        help="selected (default), a fitted model, or average over all of them",
+    )  # fmt: skip
     add.set_defaults(run=_measure)
 
     add = commands.add_parser("simulate", help="a dataset with known truth")
@@ -187,18 +195,27 @@ def _measure(arguments: argparse.Namespace) -> int:
         measure,
         positions_csv,
         read_pairs,
+        sources_csv,
         table_text,
     )
+    from calib.measure_average import SELECTED, doubt, instrument_of, measure_by
     from calib.store import write_bytes
 
     measuring = read_calibration(arguments.calibration)
     name = "standard input" if arguments.table == "-" else arguments.table
     text = sys.stdin.buffer.read(TABLE_LIMIT_BYTES + 1) if arguments.table == "-" else Path(name)
-    measured = measure(measuring, read_measurements(table_text(text, name=name), name=name))
-    if arguments.lengths is None:
-        result = positions_csv(measuring, measured)
+    table, model = read_measurements(table_text(text, name=name), name=name), arguments.model
+    if arguments.sources:
+        result = sources_csv(measure(instrument_of(measuring, model), table))
     else:
-        result = lengths_csv(measured, read_pairs(arguments.lengths, measured))
+        measured = measure_by(measuring, table, model=model)
+        told = doubt(measuring, measured, table) if model == SELECTED else None
+        if told is not None:
+            print(f"calib: note: {told}", file=sys.stderr)
+        if arguments.lengths is not None:
+            result = lengths_csv(measured, read_pairs(arguments.lengths, measured))
+        else:
+            result = positions_csv(measuring, measured)
     if arguments.out is None:
         sys.stdout.write(result)
     else:

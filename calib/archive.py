@@ -9,6 +9,7 @@ import h5py
 import numpy as np
 
 from calib.arrays import FloatArray
+from calib.fit.identifiability import Identifiability
 from calib.fit.posterior import Posterior
 from calib.fit.robust import RobustFit
 from calib.geometry.parameters import INDEX, PARAMETERS
@@ -76,6 +77,8 @@ def _gaze(g: GazeResult) -> Iterator[Entry]:
         yield from _robust(f"fits/{name}/robust", fit)
     for name, posterior in g.posterior.items():
         yield from _posterior(f"fits/{name}/posterior", posterior)
+    for name, told in g.identifiability.items():
+        yield from _identifiability(f"identifiability/{name}", told)
     for score in g.comparison.scores if g.comparison is not None else ():
         where = f"comparison/{score.model}"
         meaning = "expected log predictive density of each row"
@@ -98,11 +101,27 @@ def _rows(where: str, rows: Observations) -> Iterator[Entry]:
     if rows.shared_names:
         meaning = "effect of each shared standard-normal error on x1c, y1c, alpha2, residual, z"
         yield Entry(f"{where}/shared", rows.shared, units, meaning)
+        yield Entry(f"{where}/shared_source", rows.shared_names, "", "of each shared error")
 
 
 def _units(names: Sequence[str]) -> list[str]:
     """Return the units of parameters; the logarithm of the noise scale has 1."""
     return [PARAMETERS[INDEX[name]].unit if name in INDEX else "1" for name in names]
+
+
+def _identifiability(where: str, told: Identifiability) -> Iterator[Entry]:
+    values = np.array([c.singular_value for c in told.combinations])
+    directions = np.array([c.direction for c in told.combinations])
+    units = _units(told.names)
+    yield Entry(f"{where}/names", told.names, "", "parameters, in the order of the other arrays")
+    yield Entry(f"{where}/scale", told.scale, units, "known of any rig beforehand")
+    meaning = "of the root of the rows' information, parameters in units of scale"
+    yield Entry(f"{where}/singular_values", values, "1", meaning)
+    yield Entry(f"{where}/directions", directions, "1", "singular directions, one a row")
+    yield Entry(f"{where}/correlation", told.correlation, "1", "with sweep and priors")
+    yield Entry(f"{where}/std_rows", told.rows_std, units, "from the rows alone")
+    yield Entry(f"{where}/std_rows_and_sweep", told.sweep_std, units, "with the yaw sweep")
+    yield Entry(f"{where}/std", told.std, units, "with sweep and priors")
 
 
 def _robust(where: str, fit: RobustFit) -> Iterator[Entry]:
@@ -130,6 +149,8 @@ def _depths(g: GazeResult) -> Iterator[Entry]:
     if g.depths is not None:
         yield Entry("depth_uncertainty/z", g.depths.depth_mm, "mm", "true depth of the target")
         tables.append(("depth_uncertainty", g.depths.prediction))
+        for name, u in g.depths.sources_mm.items():
+            yield Entry(f"depth_uncertainty/sources/{name}", u, "mm", f"part of gum_u by {name}")
     if g.validation is not None:
         yield Entry("validation/id", g.validation.ids, "", "name of each row")
         yield Entry("validation/position", g.validation.position_mm, "mm", "x, y, z in C1")

@@ -6,7 +6,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeAlias
+from typing import Annotated, Any, Literal, Self, TypeAlias
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
@@ -30,8 +30,14 @@ FORMAT = 1
 FILE_LIMIT_BYTES = 200_000_000
 """A calibration of 100,000 rows takes a tenth of it."""
 
+UNNAMED = "intrinsics and pose of the cameras"
+"""Source of all shared errors in a file that names none."""
+
 SYMMETRY = 1e-9
 """Asymmetry of a correlation that is rounding: the file gives twelve digits."""
+
+SUM_OF_WEIGHTS = 1e-6
+"""Difference of a sum of weights from 1 that is rounding."""
 
 LENS_COEFFICIENTS = (0, 4, 5, 8, 12, 14)
 """Numbers of coefficients that OpenCV's lens model can have."""
@@ -64,6 +70,7 @@ class _Shared(_Section):
     names: tuple[str, ...]
     factor: tuple[tuple[float, ...], ...]
     with_parameters: tuple[tuple[float, ...], ...]
+    sources: tuple[str, ...] | None = None
 
 
 class _Stated(_Section):
@@ -72,20 +79,16 @@ class _Stated(_Section):
     u_alpha2_rad: NotNegative
 
 
-class _Measurement(_Section):
+class _Parameters(_Section):
     model: str
     names: tuple[str, ...]
     values: tuple[float, ...]
     covariance: tuple[tuple[float, ...], ...]
-    reading: _Reading
-    stated: _Stated
     noise_factor: Positive
-    calibrated_depth_mm: tuple[Positive, Positive]
     factor95: Positive
-    shared: _Shared | None = None
 
     @model_validator(mode="after")
-    def _belongs_together(self) -> _Measurement:
+    def _are_parameters(self) -> Self:
         size = len(self.names)
         if len(set(self.names)) != size or not set(self.names) <= set(NAMES):
             raise ValueError("names are not parameters, each once")
@@ -94,6 +97,33 @@ class _Measurement(_Section):
             raise ValueError("names, values and covariance do not belong together")
         if not _is_covariance(np.array(self.covariance)):
             raise ValueError("the covariance is not symmetric, or has a negative variance")
+        return self
+
+    def knowledge(self) -> ParameterKnowledge:
+        return ParameterKnowledge(
+            names=self.names,
+            values=np.array(self.values),
+            covariance=np.array(self.covariance),
+            degrees_of_freedom=None,
+            evaluation=("A",) * len(self.names),
+        )
+
+
+class _Share(_Parameters):
+    weight: Annotated[float, Field(ge=0, le=1)]
+    with_parameters: tuple[tuple[float, ...], ...] | None = None
+
+
+class _Measurement(_Parameters):
+    reading: _Reading
+    stated: _Stated
+    calibrated_depth_mm: tuple[Positive, Positive]
+    shared: _Shared | None = None
+    average: tuple[_Share, ...] = ()
+
+    @model_validator(mode="after")
+    def _belongs_together(self) -> _Measurement:
+        size, loads = len(self.names), 0
         if self.calibrated_depth_mm[0] > self.calibrated_depth_mm[1]:
             raise ValueError("the calibrated depths end before they begin")
         if self.shared is not None:
@@ -101,6 +131,15 @@ class _Measurement(_Section):
             counts = len(self.shared.factor), len(self.shared.with_parameters)
             if len(errors) != 1 or counts != (len(self.shared.names), size):
                 raise ValueError("names and arrays of the shared errors do not belong together")
+            if self.shared.sources is not None and {len(self.shared.sources)} != errors:
+                raise ValueError("sources of the shared errors do not belong to them")
+            loads = errors.pop()
+        if self.average and abs(sum(share.weight for share in self.average) - 1) > SUM_OF_WEIGHTS:
+            raise ValueError("the models' weights do not add up to 1")
+        for share in self.average:
+            rows = share.with_parameters or ((),) * len(share.names)
+            if len(rows) != len(share.names) or {len(row) for row in rows} != {loads}:
+                raise ValueError(f"shared errors and parameters of {share.model} do not match")
         return self
 
 
@@ -142,6 +181,25 @@ class _File(_Section):
 
 
 @dataclass(frozen=True)
+class Share:
+    """A fitted model's part in the average over all of them.
+
+    Parameters
+    ----------
+    model, weight
+        Its name and its weight; the weights sum to 1.
+    instrument, noise_factor, factor95
+        As in `Measuring`, by this model.
+    """
+
+    model: str
+    weight: float
+    instrument: Instrument
+    noise_factor: float
+    factor95: float
+
+
+@dataclass(frozen=True)
 class Measuring:
     """An instrument as calibration.json describes it.
 
@@ -157,6 +215,8 @@ class Measuring:
         Depths that the calibration covers.
     factor95
         Coverage factor of inverse depth.
+    shares
+        All fitted models, the selected one among them; empty in a file that holds that one alone.
     """
 
     instrument: Instrument
@@ -164,6 +224,7 @@ class Measuring:
     noise_factor: float
     calibrated_mm: tuple[float, float]
     factor95: float
+    shares: tuple[Share, ...] = ()
 
 
 def read_calibration(path: Path) -> Measuring:
@@ -195,13 +256,6 @@ def read_calibration(path: Path) -> Measuring:
 
 def _measuring(file: _File) -> Measuring:
     m = file.measurement
-    parameters = ParameterKnowledge(
-        names=m.names,
-        values=np.array(m.values),
-        covariance=np.array(m.covariance),
-        degrees_of_freedom=None,
-        evaluation=("A",) * len(m.names),
-    )
     reading = ReadingSpread(
         x1c=m.reading.x1c.spread(),
         y1c=m.reading.y1c.spread(),
@@ -218,14 +272,31 @@ def _measuring(file: _File) -> Measuring:
     )
     shared, common = Shared(), None
     if m.shared is not None:
-        shared = Shared(m.shared.names, np.array(m.shared.factor))
-        common = SharedErrors(shared.error_names, np.array(m.shared.with_parameters))
+        factor = np.array(m.shared.factor)
+        sources = m.shared.sources or (UNNAMED,) * factor.shape[1]
+        shared = Shared(m.shared.names, factor, sources)
+        common = SharedErrors(sources, np.array(m.shared.with_parameters))
     return Measuring(
-        instrument=Instrument(parameters, reading, common),
+        instrument=Instrument(m.knowledge(), reading, common),
         setup=Setup(settings, CameraSet(cameras.get("c1"), cameras.get("c2")), shared),
         noise_factor=m.noise_factor,
         calibrated_mm=m.calibrated_depth_mm,
         factor95=m.factor95,
+        shares=tuple(_share(share, reading, shared.error_names) for share in m.average),
+    )
+
+
+def _share(share: _Share, reading: ReadingSpread, errors: tuple[str, ...]) -> Share:
+    """Return a model's share; `reading` is that of the selected model, as it stands for all."""
+    common = None
+    if share.with_parameters is not None:
+        common = SharedErrors(errors, np.array(share.with_parameters))
+    return Share(
+        model=share.model,
+        weight=share.weight,
+        instrument=Instrument(share.knowledge(), reading, common),
+        noise_factor=share.noise_factor,
+        factor95=share.factor95,
     )
 
 

@@ -5,8 +5,10 @@ from __future__ import annotations
 import csv
 import io
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 
@@ -18,7 +20,7 @@ from calib.dataset.tables import GazeTable, LengthTable
 from calib.errors import InputError, Problem
 from calib.geometry.plane import OBSERVABLE
 from calib.observe import observe
-from calib.uncertainty.predictive import linear_positions
+from calib.uncertainty.predictive import depth_sources, linear_positions
 
 TABLE_LIMIT_BYTES = 200_000_000
 """Some four million readings."""
@@ -48,7 +50,7 @@ def table_text(source: bytes | Path, *, name: str) -> str:
     return decode(source, where=name)
 
 
-def read_pairs(path: Path, measured: Measured) -> LengthTable:
+def read_pairs(path: Path, measured: Positions) -> LengthTable:
     """Return the table of distances asked for.
 
     Raises
@@ -73,6 +75,33 @@ def read_pairs(path: Path, measured: Measured) -> LengthTable:
     return lengths
 
 
+class Positions(Protocol):
+    """Positions with their uncertainties, by one model or by several."""
+
+    @property
+    def ids(self) -> tuple[str, ...]:
+        """Of the rows, n of them."""
+
+    @property
+    def position_mm(self) -> FloatArray:
+        """Coordinates x, y, z in frame C1, shape (n, 3)."""
+
+    @property
+    def std_mm(self) -> FloatArray:
+        """Standard uncertainties, shape (n, 3)."""
+
+    @property
+    def low95_mm(self) -> FloatArray:
+        """Lower ends of the 95 % intervals of z, shape (n,)."""
+
+    @property
+    def high95_mm(self) -> FloatArray:
+        """Upper ends, infinite where the reading does not limit the distance, shape (n,)."""
+
+    def length(self, start: int, end: int) -> tuple[float, float]:
+        """Return the distance of two points and its standard uncertainty, mm."""
+
+
 @dataclass(frozen=True)
 class Measured:
     """Positions with their uncertainties.
@@ -92,6 +121,8 @@ class Measured:
         and of the row itself where that is another one, shape (n, 3, 4) each.
     depth_of
         For each row the place of the row whose depth it uses.
+    sources_mm
+        What each source contributes to the standard uncertainty of z, by name, shape (n,) each.
     """
 
     ids: tuple[str, ...]
@@ -104,6 +135,24 @@ class Measured:
     by_depth_row: FloatArray
     by_row: FloatArray
     depth_of: tuple[int, ...]
+    sources_mm: Mapping[str, FloatArray]
+
+    def length(self, start: int, end: int) -> tuple[float, float]:
+        """Return the distance of two points and its standard uncertainty, mm."""
+        across = self.position_mm[end] - self.position_mm[start]
+        length = float(np.linalg.norm(across))
+        if length == 0:
+            return 0.0, 0.0
+        along = across / length
+        common = along @ (self.by_common[end] - self.by_common[start])
+        variance = float(common @ self.common @ common)
+        own: dict[int, FloatArray] = {}
+        for point, sign in ((end, 1.0), (start, -1.0)):
+            parts = ((point, self.by_row), (self.depth_of[point], self.by_depth_row))
+            for row, effect in parts:
+                own[row] = own.get(row, np.zeros(effect.shape[2])) + sign * (along @ effect[point])
+        variance += sum(float(effect @ effect) for effect in own.values())
+        return length, float(np.sqrt(variance))
 
 
 def measure(measuring: Measuring, table: GazeTable) -> Measured:
@@ -151,6 +200,9 @@ def measure(measuring: Measuring, table: GazeTable) -> Measured:
         by_depth_row=by_depth_row,
         by_row=by_row,
         depth_of=depth_of,
+        sources_mm={
+            name: part[source] for name, part in depth_sources(measuring.instrument, linear).items()
+        },
     )
 
 
@@ -186,7 +238,7 @@ def _refuse_unreachable(table: GazeTable, z: FloatArray) -> None:
         raise InputError(problems)
 
 
-def positions_csv(measuring: Measuring, measured: Measured) -> str:
+def positions_csv(measuring: Measuring, measured: Positions) -> str:
     """Return the positions as CSV, one row per reading."""
     low, high = measuring.calibrated_mm
     text = io.StringIO()
@@ -209,7 +261,23 @@ def _number(value: float) -> str:
     return f"{value:.4f}" if math.isfinite(value) else "inf"
 
 
-def lengths_csv(measured: Measured, lengths: LengthTable) -> str:
+def sources_csv(measured: Measured) -> str:
+    """Return what u(z) is made of as CSV: a row for each reading and source.
+
+    Intrinsics and pose of the cameras are sources with what their errors do to the depth by way of
+    the calibrated parameters and of the reading together. The sources add up in quadrature.
+    """
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(["id", "source", "u_z_mm", "share_percent"])
+    for i, name in enumerate(measured.ids):
+        whole = measured.std_mm[i, 2]
+        for source, part in measured.sources_mm.items():
+            writer.writerow([name, source, _number(part[i]), f"{100 * (part[i] / whole) ** 2:.2f}"])
+    return text.getvalue()
+
+
+def lengths_csv(measured: Positions, lengths: LengthTable) -> str:
     """Return distances between measured points as CSV, with their standard uncertainties.
 
     The points share the calibration's errors, which largely cancel for points near each other.
@@ -231,7 +299,7 @@ def lengths_csv(measured: Measured, lengths: LengthTable) -> str:
     )
     for i, name in enumerate(lengths.ids):
         start, end = place[lengths.start[i]], place[lengths.end[i]]
-        length, u = _length(measured, start, end)
+        length, u = measured.length(start, end)
         reference, u_reference = lengths.length_mm[i], lengths.u_length_mm[i]
         known = [reference, u_reference, length - reference]
         shown = [_number(v) if math.isfinite(v) else "" for v in known]
@@ -239,21 +307,3 @@ def lengths_csv(measured: Measured, lengths: LengthTable) -> str:
             [name, lengths.start[i], lengths.end[i], _number(length), _number(u), *shown]
         )
     return text.getvalue()
-
-
-def _length(measured: Measured, start: int, end: int) -> tuple[float, float]:
-    """Return the distance of two points and its standard uncertainty, mm."""
-    across = measured.position_mm[end] - measured.position_mm[start]
-    length = float(np.linalg.norm(across))
-    if length == 0:
-        return 0.0, 0.0
-    along = across / length
-    common = along @ (measured.by_common[end] - measured.by_common[start])
-    variance = float(common @ measured.common @ common)
-    own: dict[int, FloatArray] = {}
-    for point, sign in ((end, 1.0), (start, -1.0)):
-        parts = ((point, measured.by_row), (measured.depth_of[point], measured.by_depth_row))
-        for row, effect in parts:
-            own[row] = own.get(row, np.zeros(effect.shape[2])) + sign * (along @ effect[point])
-    variance += sum(float(effect @ effect) for effect in own.values())
-    return length, float(np.sqrt(variance))

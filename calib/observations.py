@@ -67,9 +67,10 @@ class Observations:
     def take(self, rows: BoolArray | IntArray) -> Observations:
         """Return the chosen rows."""
         index = np.arange(len(self))[rows]
+        places = index.tolist()
         return Observations(
-            ids=tuple(self.ids[i] for i in index),
-            groups=tuple(self.groups[i] for i in index),
+            ids=tuple(map(self.ids.__getitem__, places)),
+            groups=tuple(map(self.groups.__getitem__, places)),
             x1c=self.x1c[index],
             y1c=self.y1c[index],
             alpha2_rad=self.alpha2_rad[index],

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from calib.dataset.contents import Dataset
-from calib.dataset.tables import GazeTable, LengthTable
+from calib.dataset.tables import LengthTable
 from calib.fit.posterior import Posterior
 from calib.fit.priors import Priors
 from calib.fit.robust import RobustFit
@@ -18,15 +18,11 @@ from calib.geometry.parameters import MODELS
 from calib.image_chain import ImageStages, image_stages, sightings
 from calib.ledger import run_fingerprint
 from calib.observations import Observations
-from calib.observe import (
-    RowSettings,
-    Setup,
-    ValidationRows,
-    row_settings,
-    validation_settings,
-)
+from calib.observe import ValidationRows, row_settings, validation_settings
 from calib.outputs import write_outputs
+from calib.repeats import repeats_told
 from calib.results import Calibration, GazeResult
+from calib.row_stages import gaze_rows, setup_stage
 from calib.store import Staged, Store, given
 from calib.verdict import all_gates, all_warnings, disagreements
 
@@ -80,7 +76,7 @@ def calibrate(
         failures = images.failures()
         gaze = None
         if dataset.gaze is not None:
-            rows = _rows(dataset, dataset.gaze, store, images)
+            rows = gaze_rows(dataset, dataset.gaze, store, images)
             if rows.failed is not None:
                 failures["gaze rows"] = rows.failed
             else:
@@ -95,7 +91,7 @@ def calibrate(
             images=result,
             gaze=gaze,
             gates=all_gates(result, gaze, failures),
-            warnings=(*dataset.warnings, *all_warnings(result, gaze)),
+            warnings=(*dataset.warnings, *_combined(dataset, gaze), *all_warnings(result, gaze)),
             disagreements=() if gaze is None else disagreements(gaze),
         )
         written = write_outputs(
@@ -104,21 +100,12 @@ def calibrate(
     return Run(calibration, tuple(store.durations), tuple(store.reused), written)
 
 
-def _setup(store: Store, images: ImageStages, name: str, settings: RowSettings) -> Staged[Setup]:
-    """Return what holds for all rows of a table."""
-    return store.stage(
-        f"setup {name}", "calib.observe:set_up",
-        given("settings", settings), images.cameras, images.shared,
-    )  # fmt: skip
-
-
-def _rows(
-    dataset: Dataset, table: GazeTable, store: Store, images: ImageStages
-) -> Staged[Observations]:
-    """Return the calibration rows with their covariance."""
-    setup = _setup(store, images, "gaze", row_settings(dataset))
-    seen = sightings(dataset, table, store, images)
-    return store.stage("observations", "calib.observe:observe", given("gaze", table), setup, seen)
+def _combined(dataset: Dataset, gaze: GazeResult | None) -> tuple[str, ...]:
+    """Return a warning if gazes were repeated."""
+    if dataset.gaze is None or gaze is None:
+        return ()
+    told = repeats_told(dataset.gaze, gaze.rows)
+    return () if told is None else (told,)
 
 
 def _gaze_chain(
@@ -157,6 +144,9 @@ def _gaze_chain(
     if not result.posterior:
         return result
     fits = {name: robust[name] for name in result.posterior}
+    told = {name: stage(f"{name}/identifiability", "calib.fit.identifiability:identifiability",
+                        rows, fit, priors) for name, fit in fits.items()}  # fmt: skip
+    result = replace(result, identifiability={name: s.value for name, s in told.items()})
     chains = {name: posterior[name] for name in result.posterior}
     fitted = _Fitted(rows, priors, fits, chains)
     return _measure(dataset, options, store, images, fitted, result)
@@ -187,7 +177,7 @@ def _measure(
     if validation is not None:
         references = np.append(references, validation.value.rows.z_mm)
     low, high = options.depths_mm or (float(references.min()), float(references.max()))
-    setup = _setup(store, images, "gaze", row_settings(dataset))
+    setup = setup_stage(store, images, "gaze", row_settings(dataset))
     # fmt: off
     comparison = stage("comparison", "calib.fit.compare:compare_models",
                        rows, fitted.robust, fitted.posterior, priors, validation, seed=seed)
@@ -196,6 +186,9 @@ def _measure(
                        fitted.posterior[selected], fitted.robust[selected], rows, setup)
     depths = stage("depths", "calib.instrument:tabulate_depths",
                    calibrated, low_mm=low, high_mm=high, seed=seed)
+    average = stage("average", "calib.average:build_average",
+                    fitted.posterior, fitted.robust, comparison, rows, setup, calibrated, depths,
+                    seed=seed)
     measured = None
     if validation is not None:
         measured = stage("validation", "calib.instrument:measure_validation",
@@ -209,6 +202,7 @@ def _measure(
         comparison=comparison.value,
         calibrated=calibrated.value,
         depths=depths.value,
+        average=average.value,
         validation=None if measured is None else measured.value,
         evidence=evidence.get(),
     )
@@ -235,7 +229,7 @@ def _validation(
     table = dataset.validation
     if table is None:
         return None
-    setup = _setup(store, images, "validation", validation_settings(dataset))
+    setup = setup_stage(store, images, "validation", validation_settings(dataset))
     seen = sightings(dataset, table, store, images)
     rows: Staged[ValidationRows] = store.stage(
         "validation rows", "calib.observe:observe_validation",

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+import io
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from calib import __version__
 from calib.arrays import FloatArray
+from calib.average import ModelAverage
 from calib.calibration_file import FORMAT
 from calib.certificate.inputs import Evidence
 from calib.fit.compare import Comparison, ModelScore
 from calib.fit.convex import ConvexFit
+from calib.fit.identifiability import Identifiability
 from calib.fit.linear import LinearFit
 from calib.fit.posterior import Posterior
 from calib.fit.robust import RobustFit
@@ -24,6 +27,8 @@ from calib.geometry.camera import Camera
 from calib.images.result import ImageResult
 from calib.instrument import CalibratedInstrument, DepthTable, ValidationResult
 from calib.observations import Observations
+from calib.results_average import average_depths, average_document
+from calib.results_identifiability import identifiability_document
 from calib.results_images import images_document
 from calib.uncertainty.measurement import Instrument, Spread
 from calib.uncertainty.montecarlo import NORMAL_FACTOR
@@ -48,7 +53,9 @@ class GazeResult:
         By model.
     refused
         Reason by fit, for those that could not be made.
-    comparison, calibrated, depths
+    identifiability
+        What the rows can tell, by model.
+    comparison, calibrated, depths, average
         None if no model could be fitted.
     validation
         None without validation rows.
@@ -63,9 +70,11 @@ class GazeResult:
     robust: Mapping[str, RobustFit]
     posterior: Mapping[str, Posterior]
     refused: Mapping[str, str]
+    identifiability: Mapping[str, Identifiability] = field(default_factory=dict)
     comparison: Comparison | None = None
     calibrated: CalibratedInstrument | None = None
     depths: DepthTable | None = None
+    average: ModelAverage | None = None
     validation: ValidationResult | None = None
     evidence: Evidence | None = None
 
@@ -114,8 +123,13 @@ class Calibration:
 
 def to_json(calibration: Calibration) -> str:
     """Return calibration.json: the same text for the same result."""
-    document = _document(calibration)
-    return json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+    encoder = json.JSONEncoder(indent=1, ensure_ascii=False, allow_nan=False)
+    # One piece a number: in a list, as `json.dumps` has it, they take ten times the text itself.
+    text = io.StringIO()
+    for piece in encoder.iterencode(_document(calibration)):
+        text.write(piece)
+    text.write("\n")
+    return text.getvalue()
 
 
 def _document(c: Calibration) -> dict[str, Any]:
@@ -156,6 +170,8 @@ def _clean(value: Any) -> Any:
 
 def _gaze(g: GazeResult) -> dict[str, Any]:
     document: dict[str, Any] = {"fits": _fits(g)}
+    if g.identifiability:
+        document["identifiability"] = identifiability_document(g.identifiability)
     if g.comparison is not None:
         document["comparison"] = [_score(score) for score in g.comparison.scores]
         document["selected"] = g.comparison.selected
@@ -163,8 +179,12 @@ def _gaze(g: GazeResult) -> dict[str, Any]:
     if g.calibrated is not None:
         factor = NORMAL_FACTOR if g.depths is None else g.depths.factor95
         document["measurement"] = _measurement(g.calibrated) | {"factor95": factor}
+        if g.average is not None:
+            document["measurement"] |= average_document(g.average)
     if g.depths is not None:
         document["depth_uncertainty"] = _depths(g.depths)
+    if g.average is not None:
+        document["depth_uncertainty_average"] = average_depths(g.average)
     if g.validation is not None:
         document["validation"] = _validation(g.validation)
         document["validation_summary"] = {
@@ -312,6 +332,7 @@ def _score(s: ModelScore) -> dict[str, Any]:
         "cv_depth_rms_rel": s.cv_depth_rms_rel,
         "validation_depth_rms_rel": s.validation_depth_rms_rel,
         "weight": s.weight,
+        "averaging_weight": s.averaging_weight,
         "pareto_k_max": s.pareto_k.max(),
         "refitted": list(s.refitted),
         "unreliable": list(s.unreliable),
@@ -357,6 +378,7 @@ def _shared(c: CalibratedInstrument) -> dict[str, Any] | None:
         "names": list(shared.names),
         "factor": shared.factor,
         "with_parameters": c.instrument.shared.with_parameters,
+        "sources": list(shared.error_names),
     }
 
 
@@ -371,6 +393,7 @@ def _depths(table: DepthTable) -> list[dict[str, Any]]:
             "gum_u_mm": p.gum_u_mm[i],
             "gum_valid": bool(p.gum_valid[i]),
             "extrapolated": bool(table.extrapolated[i]),
+            "gum_sources_mm": {name: u[i] for name, u in table.sources_mm.items()},
         }
         for i in range(len(table.depth_mm))
     ]

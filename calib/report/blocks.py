@@ -168,6 +168,11 @@ def words(text: Text, *, mark: str = "") -> Cell:
     return Cell(text, mark=mark)
 
 
+def facts(*pairs: tuple[Text, Text]) -> Facts:
+    """Return labels and values; those without a value are left out."""
+    return Facts(tuple((label, value) for label, value in pairs if value))
+
+
 EMPTY = Cell("–", numeric=True, mark="quiet")
 """A cell without a value in a column of numbers."""
 

@@ -17,6 +17,7 @@ from calib.report.sections.comparison import comparison
 from calib.report.sections.data import data
 from calib.report.sections.depth import depth
 from calib.report.sections.detection import detection
+from calib.report.sections.identifiability import identifiability
 from calib.report.sections.intrinsics import intrinsics
 from calib.report.sections.linear import linear
 from calib.report.sections.parameters import parameters
@@ -39,6 +40,7 @@ SECTIONS: tuple[Callable[[Calibration, ReportContext], Section | None], ...] = (
     sweep,
     published,
     parameters,
+    identifiability,
     residuals,
     linear,
     comparison,

@@ -15,8 +15,9 @@ from scipy.stats import chi2, norm
 
 from calib.arrays import FloatArray
 from calib.calibration_file import Measuring
+from calib.geometry.closure import depth_jacobian
 from calib.geometry.parameters import INDEX, PARAMETERS
-from calib.geometry.plane import Gaze, depth, depth_jacobian, gaze_at
+from calib.geometry.plane import Gaze, depth, gaze_at
 
 FAMILY_RISK = 0.05
 """Chance that any change of an unchanged rig is called significant, over one pair of runs."""

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -53,9 +54,7 @@ def plan_dataset(options: SimulationOptions) -> Contents:
 def _check(options: SimulationOptions) -> None:
     if options.model not in MODELS:
         raise UsageError(f"unknown model {options.model!r}; the models are {', '.join(MODELS)}")
-    unknown = [name for name in options.fixed if name not in NAMES]
-    if unknown:
-        raise UsageError(f"unknown parameter {unknown[0]!r}; they are {', '.join(NAMES)}")
+    _check_fixed(options.fixed)
     if not 0 <= options.outlier_share <= 1:
         raise UsageError(f"a share of outliers of {options.outlier_share:g} is not between 0 and 1")
     if options.depth_range_mm is not None:
@@ -65,6 +64,19 @@ def _check(options: SimulationOptions) -> None:
     for count, least, what in _counts(options):
         if count < least:
             raise UsageError(f"{count} {what}; ask for {least} at least")
+
+
+def _check_fixed(fixed: Mapping[str, float]) -> None:
+    unknown = [name for name in fixed if name not in NAMES]
+    if unknown:
+        raise UsageError(f"unknown parameter {unknown[0]!r}; they are {', '.join(NAMES)}")
+    for name, value in fixed.items():
+        if not math.isfinite(value):
+            raise UsageError(f"{name} = {value:g} is not finite; give a number")
+    if fixed.get("baseline_mm", 1.0) <= 0:
+        raise UsageError(
+            f"baseline_mm = {fixed['baseline_mm']:g}: C2 stands at +X of C1; give it above 0"
+        )
 
 
 def _counts(options: SimulationOptions) -> tuple[tuple[int, int, str], ...]:

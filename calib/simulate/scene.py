@@ -46,7 +46,9 @@ _SWEEP_STEP_RAD = float(np.deg2rad(0.25))
 """Fineness to which the ends of a sweep are found."""
 
 _TRIES = 4000
-"""Poses tried; where the board fits at all, one in a hundred does or more."""
+"""Poses tried at least; where the board fits at all, one in a hundred does or more."""
+
+_TRIES_PER_POSE = 100
 
 
 @dataclass(frozen=True)
@@ -159,7 +161,8 @@ def draw_intrinsic_views(
     """
     wanted = 1 if plan.one_place else CANDIDATES_PER_VIEW * plan.count
     candidates: list[FloatArray] = []
-    for pose in _tried(lambda: _intrinsic_candidate(camera, board, rng, plan.tilt_deg)):
+    drawn = _tried(lambda: _intrinsic_candidate(camera, board, rng, plan.tilt_deg), wanted)
+    for pose in drawn:
         if whole_board_seen(camera, board, pose[None])[0]:
             candidates.append(pose)
             if len(candidates) == wanted:
@@ -171,8 +174,8 @@ def draw_intrinsic_views(
     return _best_spread(camera, board, np.array(candidates), count=plan.count)
 
 
-def _tried(draw: Callable[[], FloatArray]) -> Iterator[FloatArray]:
-    for _ in range(_TRIES):
+def _tried(draw: Callable[[], FloatArray], wanted: int = 1) -> Iterator[FloatArray]:
+    for _ in range(max(_TRIES, _TRIES_PER_POSE * wanted)):
         yield draw()
 
 

@@ -25,9 +25,10 @@ from calib.pipeline import Options, calibrate
 OBSERVED = {"observations", "sense", "base/linear", "base/convex"}
 ROBUST = {f"{model}/robust" for model in ("base", "axis-offset", "axis-tilt", "encoder")}
 POSTERIOR = {"base/posterior", "axis-offset/posterior"}
-AFTER = {"comparison", "instrument", "depths", "validation", "certified depths"}
+TOLD = {"base/identifiability", "axis-offset/identifiability"}
+AFTER = {"comparison", "instrument", "average", "depths", "validation", "certified depths"}
 SETUPS = {"setup gaze", "setup validation"}
-GAZE = OBSERVED | ROBUST | POSTERIOR | AFTER
+GAZE = OBSERVED | ROBUST | POSTERIOR | TOLD | AFTER
 ALL = GAZE | SETUPS | {"validation rows"}
 
 
@@ -128,7 +129,7 @@ INPUTS = {
         "validation.csv",
         "900",
         "901",
-        {"validation rows", "comparison", "validation", "certified depths"},
+        {"validation rows", "comparison", "average", "validation", "certified depths"},
     ),
     "an uncertainty": ("dataset.toml", "u_x1c = 0.0002", "u_x1c = 0.0003", ALL),
     "an uncertainty of z": ("dataset.toml", "u_z_rel = 0.002", "u_z_rel = 0.003", GAZE),
@@ -136,7 +137,7 @@ INPUTS = {
         "dataset.toml",
         "[gaze]",
         "[priors]\naxis_z_mm = [0, 30]\n[gaze]",
-        ROBUST | POSTERIOR | AFTER,
+        ROBUST | POSTERIOR | TOLD | AFTER,
     ),
     "words": ("dataset.toml", 'name = "rig"', 'name = "rig"\ntitle = "A rig"', set()),
     "a comment": ("dataset.toml", "format = 1", "format = 1  # the first", set()),
@@ -158,15 +159,19 @@ def test_seed_changed(case: Case) -> None:
 
 
 def test_depths_changed(case: Case) -> None:
-    assert run(case.data, case.out, depths_mm=(300.0, 2000.0)) == {"depths"}
+    assert run(case.data, case.out, depths_mm=(300.0, 2000.0)) == {"average", "depths"}
 
 
 CODE = {
     "fit/convex.py": {"base/convex"},
     "fit/importance.py": POSTERIOR | AFTER,
-    "fit/compare.py": {"comparison"},
-    "uncertainty/predictive.py": {"instrument", "depths", "validation", "certified depths"},
+    "fit/compare.py": {"comparison", "average"},
+    "fit/weights.py": {"comparison", "average"},
+    "fit/identifiability.py": TOLD,
+    "uncertainty/predictive.py": AFTER - {"comparison"},
+    "uncertainty/mixture.py": {"average"},
     "geometry/plane.py": ALL,
+    "geometry/closure.py": GAZE - {"observations"},
     "report/page.py": set(),
     "console.py": set(),
     "images/mrcal_worker.py": set(),

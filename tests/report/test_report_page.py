@@ -201,6 +201,25 @@ def test_parameter_tables_hold_the_posterior(page: html.HtmlElement) -> None:
             assert keys(rows[free : free + 1], 2) == [derived[0]]
 
 
+def test_what_the_rows_can_tell_is_said_in_words_and_figures(page: html.HtmlElement) -> None:
+    gaze = everything()[0].gaze
+    found = gaze.identifiability["axis-offset"]
+    section = page.xpath("//section[@id='identifiability']")[0]
+    (notice,) = section.xpath("./div[contains(@class, 'notice')]")
+    assert "cannot tell Lb from e" in notice.text_content()
+    assert all(remedy in notice.text_content() for remedy in found.open[0].remedies)
+    rows = table(page, "axis-offset: its combinations")
+    assert keys(rows, 1) == [c.singular_value for c in found.combinations]
+    assert rows[-1][-1].get("class") == "bad"
+    rows = table(page, "axis-offset: how far each parameter is known")
+    factors = [1, 1e3, 1, 1]
+    np.testing.assert_allclose(keys(rows, 3), found.rows_std * factors, rtol=1e-15)
+    rows = table(page, "Model by model")
+    assert keys(rows, 5) == [
+        100 * gaze.identifiability[model].depth_std_rel for model in ("axis-offset", "base")
+    ]
+
+
 def test_values_are_rounded_to_their_uncertainty(page: html.HtmlElement) -> None:
     cells = page.xpath("//td[@data-key and contains(., ' ± ')]")
     assert len(cells) > 100

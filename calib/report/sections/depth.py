@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import numpy as np
 from markupsafe import Markup
 
 from calib.instrument import CalibratedInstrument, DepthTable
 from calib.report.blocks import Block, Cell, Paragraph, Section, Table, table, words
 from calib.report.context import ReportContext
 from calib.report.figures.depth import draw_depth_uncertainty
-from calib.report.numbers import bounds, decimals, digits, percent
+from calib.report.numbers import bounds, decimals, digits, percent, places
 from calib.report.plotting import picture
 from calib.results import Calibration
+
+SHOWN_DEPTHS = 5
+"""Depths of the table of sources."""
 
 
 def depth(c: Calibration, _: ReportContext) -> Section | None:
@@ -29,6 +33,7 @@ def depth(c: Calibration, _: ReportContext) -> Section | None:
             "them) asks for targets farther away.",
         ),
         _table(depths),
+        _sources(depths),
     ]
     return Section("depth", "Depth uncertainty", tuple(blocks))
 
@@ -37,9 +42,9 @@ def _method(calibrated: CalibratedInstrument) -> Markup:
     widened = ""
     if calibrated.noise_factor > 1.005:
         widened = (
-            " As the rows do not exclude that the stated uncertainties of a reading are too small, "
-            f"these were widened by the factor {calibrated.noise_factor:.2f}, the root mean square "
-            "of the noise scale where it is above 1."
+            " As the rows scatter more than stated, the stated uncertainties of a reading were "
+            f"widened by the factor {calibrated.noise_factor:.2f}, the root mean square of the "
+            "noise scale."
         )
     return Markup(
         "The interval comes from draws of the posterior of <em>{}</em>, each with an error of the "
@@ -47,6 +52,29 @@ def _method(calibrated: CalibratedInstrument) -> Markup:
         "law of propagation (JCGM 100) stands beside it; whether its interval may be used was "
         "decided by clause 8 of JCGM 101.{}"
     ).format(calibrated.model, widened)
+
+
+def _sources(depths: DepthTable) -> Table:
+    """Return what each source contributes to u(z), at a few depths."""
+    few = np.unique(np.linspace(0, len(depths.depth_mm) - 1, SHOWN_DEPTHS).round().astype(int))
+    u = depths.prediction.gum_u_mm
+    rows = [
+        [
+            words(name.replace("alpha2", "α2")),
+            *(decimals(part[i], places(u[[i]] / 10)) for i in few),
+        ]
+        for name, part in depths.sources_mm.items()
+    ]
+    together: list[Cell] = [words("together"), *(digits(u[i], 2) for i in few)]
+    return table(
+        "Where u(z) comes from, mm, by the linear law",
+        ["Source", *(f"at {depths.depth_mm[i]:.0f} mm" for i in few)],
+        [*rows, together],
+        note="The sources are independent and add up in quadrature. Parameters: what rows and "
+        "priors leave uncertain of them. Intrinsics and pose of the cameras: what their errors do "
+        "to a depth by way of the parameters and of the reading together, the later ones as far "
+        "as the earlier do not explain them. A row with the largest numbers is what to improve.",
+    )
 
 
 def _table(depths: DepthTable) -> Table:

@@ -7,6 +7,7 @@ from markupsafe import Markup
 
 from calib.fit.convex import ConvexFit
 from calib.fit.linear import LinearFit
+from calib.fit.robust import RobustFit
 from calib.report.blocks import EMPTY, Block, Cell, Paragraph, Section, Table, Text, table, words
 from calib.report.context import ReportContext
 from calib.report.numbers import (
@@ -41,7 +42,7 @@ def linear(c: Calibration, _: ReportContext) -> Section | None:
         _table(gaze),
     ]
     if gaze.linear is not None:
-        blocks.append(Paragraph(_third_unknown(gaze)))
+        blocks.append(Paragraph(_third_unknown(gaze.linear, chosen_fit(gaze))))
     return Section("linear", "Linear and convex calibration", tuple(blocks))
 
 
@@ -77,7 +78,7 @@ def _table(gaze: GazeResult) -> Table:
         ),
     ]
     if b is not None:
-        rows += _proof(gaze)
+        rows += _proof(b)
     return table("Both calibrations of the paper's model", ("", "linear", "convex"), rows)
 
 
@@ -93,38 +94,33 @@ def _value(fit: LinearFit | ConvexFit | None, i: int) -> Cell:
     return estimate(fit.values[i], std, factor=factor(fit.names[i]))
 
 
-def _proof(gaze: GazeResult) -> list[tuple[Cell, ...]]:
-    b = gaze.convex
-    assert b is not None  # noqa: S101 - the caller asked
-    optimal = "proved optimal" if b.optimal else "not proved optimal"
+def _proof(fit: ConvexFit) -> list[tuple[Cell, ...]]:
+    optimal = "proved optimal" if fit.optimal else "not proved optimal"
     return [
-        (words("Solver's status"), EMPTY, words(b.status)),
+        (words("Solver's status"), EMPTY, words(fit.status)),
         (
             words("Relative duality gap"),
             EMPTY,
             words(
-                f"{signed(significant(b.duality_gap, digits=2))}, {optimal}",
-                mark="good" if b.optimal else "bad",
+                f"{signed(significant(fit.duality_gap, digits=2))}, {optimal}",
+                mark="good" if fit.optimal else "bad",
             ),
         ),
-        (words("Unknowns on a bound"), EMPTY, words(", ".join(b.at_bound) or "none")),
-        (words("Outliers"), EMPTY, words(", ".join(b.outliers[:20]) or "none")),
+        (words("Unknowns on a bound"), EMPTY, words(", ".join(fit.at_bound) or "none")),
+        (words("Outliers"), EMPTY, words(", ".join(fit.outliers[:20]) or "none")),
     ]
 
 
-def _third_unknown(gaze: GazeResult) -> Text:
-    a = gaze.linear
-    assert a is not None  # noqa: S101 - the caller asked
+def _third_unknown(linear: LinearFit, chosen: RobustFit | None) -> Text:
     text = Markup(
         "The third unknown should be the product of the other two; it came out {} mm away from it. "
         "In the exact geometry with <i>e</i> = 0 this distance is no slip of arithmetic: it is "
         "<i>Z</i><sub>a</sub> (1 + tan² <i>δ</i><sub>2</sub>), where the yaw axis stands. It "
         "implies <i>Z</i><sub>a</sub> = {} mm."
-    ).format(fixed(a.inconsistency_mm, 1), signed(fixed(a.implied_axis_z_mm, 1)))
-    fit = chosen_fit(gaze)
-    if fit is not None and "axis_z_mm" in fit.names:
-        i = fit.names.index("axis_z_mm")
+    ).format(fixed(linear.inconsistency_mm, 1), signed(fixed(linear.implied_axis_z_mm, 1)))
+    if chosen is not None and "axis_z_mm" in chosen.names:
+        i = chosen.names.index("axis_z_mm")
         text += Markup(" Model <em>{}</em> finds {} mm.").format(
-            fit.model, plus_minus(fit.values[i], float(np.sqrt(fit.covariance[i, i])))
+            chosen.model, plus_minus(chosen.values[i], float(np.sqrt(chosen.covariance[i, i])))
         )
     return text

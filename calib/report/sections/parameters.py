@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 
 import numpy as np
 from markupsafe import Markup
@@ -37,10 +37,9 @@ from calib.report.numbers import (
     unit,
 )
 from calib.report.plotting import picture
+from calib.report.sections.identifiability import decided_cell
 from calib.report.sections.pick import selected
 from calib.results import Calibration, GazeResult, effective_baseline
-
-WHO = {"data": "the data", "prior": "the prior", "both": "data and prior"}
 
 
 def parameters(c: Calibration, context: ReportContext) -> Section | None:
@@ -70,9 +69,9 @@ def parameters(c: Calibration, context: ReportContext) -> Section | None:
                 "Seen near 90°, <i>e</i> / sin <i>α</i> hardly changes: <i>L</i><sub>b</sub> and "
                 "<i>e</i> can then be told apart only by a wide sweep or by prior knowledge. Their "
                 "sum, the baseline seen at 90°, is well determined and is what compares with the "
-                "paper's <i>L</i><sub>b</sub>. A parameter counts as decided by the data if the "
-                "priors take less than a quarter off its standard uncertainty, as decided by the "
-                "prior if they take more than three quarters."
+                "paper's <i>L</i><sub>b</sub>. A parameter counts as decided by rows and sweep if "
+                "the priors take less than a quarter off its standard uncertainty, as decided by "
+                "the prior if they take more than three quarters."
             )
         ),
         picture(
@@ -91,7 +90,8 @@ def _model(
     gaze: GazeResult, posterior: Posterior, measured: Collection[str], context: ReportContext
 ) -> Table:
     fit = gaze.robust[posterior.model]
-    rows = [_row(posterior, fit, i, measured, context) for i in range(len(fit.names))]
+    decided = gaze.identifiability[posterior.model].decided_by
+    rows = [_row(posterior, fit, i, decided, measured, context) for i in range(len(fit.names))]
     found = effective_baseline(fit.names, posterior.mean[:-1], posterior.covariance[:-1, :-1])
     if found is not None:
         rows.append(
@@ -134,20 +134,20 @@ def _row(
     posterior: Posterior,
     fit: RobustFit,
     i: int,
+    decided_by: Sequence[str],
     measured: Collection[str],
     context: ReportContext,
 ) -> tuple[Cell, ...]:
     name, times = fit.names[i], factor(fit.names[i])
     low, _, high = posterior.quantiles[i]
     u = float(np.sqrt(posterior.covariance[i, i]))
-    who = fit.identified_by[i]
     return (
         words(symbol(name)),
         words(meaning(name)),
         estimate(posterior.mean[i], u, factor=times),
         words(unit(name)),
         bounds(low, high, u, factor=times),
-        words(WHO[who], mark="bad" if who == "prior" else ""),
+        decided_cell(decided_by[i]),
         words(_prior(name, measured, context)),
     )
 

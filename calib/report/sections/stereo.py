@@ -18,6 +18,7 @@ from calib.report.blocks import (
     Paragraph,
     Section,
     Table,
+    facts,
     number,
     table,
     words,
@@ -41,7 +42,7 @@ def stereo(c: Calibration, _: ReportContext) -> Section | None:
             "and, by triangulation, the position of the target in each pair: the depths that the "
             "gaze rows are calibrated against."
         ),
-        Facts(_facts(reference)),
+        _facts(reference),
         _poses(reference),
     ]
     if reference.solves:
@@ -68,15 +69,13 @@ def stereo(c: Calibration, _: ReportContext) -> Section | None:
     return Section("stereo", "Stereo reference", tuple(blocks))
 
 
-def _facts(s: StereoReference) -> tuple[tuple[str, str], ...]:
-    facts = [
+def _facts(s: StereoReference) -> Facts:
+    return facts(
         ("Pose by", {"given": "the manifest"}.get(s.source, s.source)),
         ("Distance of the centres", f"{plus_minus(s.baseline_mm, s.baseline_std_mm)} mm"),
         ("Pairs used", str(len(s.stems))),
-    ]
-    if s.turned:
-        facts.append(("Boards read from the other end", ", ".join(s.turned)))
-    return tuple(facts)
+        ("Boards read from the other end", ", ".join(s.turned)),
+    )
 
 
 def _poses(s: StereoReference) -> Table:

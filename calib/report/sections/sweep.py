@@ -6,7 +6,7 @@ import numpy as np
 from markupsafe import Markup
 
 from calib.images.sweep import SweepResult
-from calib.report.blocks import Block, Facts, Paragraph, Section, Table, Text, table, words
+from calib.report.blocks import Block, Facts, Paragraph, Section, Table, facts, table, words
 from calib.report.context import ReportContext
 from calib.report.figures.sweep import draw_axis, draw_sweep
 from calib.report.numbers import (
@@ -39,7 +39,7 @@ def sweep(c: Calibration, _: ReportContext) -> Section | None:
             )
         ),
         _measured(found),
-        Facts(_facts(found)),
+        _facts(found),
         picture(
             "sweep",
             draw_sweep(found),
@@ -71,11 +71,11 @@ def _measured(s: SweepResult) -> Table:
     return table("What the sweep measures", ("Symbol", "Meaning", "Estimate ± u", "Unit"), rows)
 
 
-def _facts(s: SweepResult) -> tuple[tuple[Text, Text], ...]:
+def _facts(s: SweepResult) -> Facts:
     direction = ", ".join(signed(fixed(float(d), 5)) for d in s.axis_direction_c2)
     foot = ", ".join(decimals(float(f), 2).text for f in s.axis_foot_c2_mm)
     low, high = np.rad2deg([s.readings_rad.min(), s.readings_rad.max()])
-    return (
+    return facts(
         ("Pictures", f"{len(s.images)}, in {len(s.placements)} placements of the board"),
         ("Readings", f"{low:.1f}° to {high:.1f}°"),
         ("Direction of the axis in C2", direction),

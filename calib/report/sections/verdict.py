@@ -6,6 +6,7 @@ import numpy as np
 from markupsafe import Markup
 
 from calib.images.result import ImageResult
+from calib.instrument import CalibratedInstrument
 from calib.report.blocks import (
     Block,
     Command,
@@ -38,7 +39,7 @@ def verdict(c: Calibration, context: ReportContext) -> Section:
             Items((*c.disagreements, *c.warnings)),
         ]
     if c.gaze is not None and c.gaze.calibrated is not None:
-        blocks += _use(c.gaze)
+        blocks += _use(c.gaze.calibrated)
     blocks.append(_gates(c))
     return Section("verdict", "Verdict", tuple(blocks))
 
@@ -172,9 +173,8 @@ def _validation_tiles(gaze: GazeResult, context: ReportContext) -> list[tuple[Te
     ]
 
 
-def _use(gaze: GazeResult) -> list[Block]:
-    assert gaze.calibrated is not None  # noqa: S101 - the caller asked
-    low, high = gaze.calibrated.calibrated_mm
+def _use(calibrated: CalibratedInstrument) -> list[Block]:
+    low, high = calibrated.calibrated_mm
     return [
         Paragraph(
             Markup(

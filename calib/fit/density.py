@@ -23,7 +23,7 @@ import numpy as np
 from numpy.polynomial.polynomial import polyval
 
 from calib.arrays import BoolArray, FloatArray, IntArray
-from calib.fit.noise import ROBUST, Tails, log_density, row_noise
+from calib.fit.noise import LOG_SCALE_LIMIT, ROBUST, Tails, log_density, row_noise
 from calib.fit.priors import Priors, measured_of, prior_of
 from calib.geometry.parameters import INDEX, PARAMETERS, EncoderTerm, Model, embed
 from calib.geometry.plane import frame
@@ -99,9 +99,10 @@ class LogPosterior:
         total -= 0.5 * ((log_scale - mean) / std) ** 2
         dof, core, power = self.tails.dof, self.tails.core, self.tails.efficiency
         total -= power * len(self.rows) * log_scale
-        # Far out in a proposal's tail width or product overflow: the density is then 0, as it is.
+        scale = np.exp(np.clip(log_scale, -LOG_SCALE_LIMIT, LOG_SCALE_LIMIT))
+        width = (dof * core**2 * scale**2)[:, None]
+        # Far out in a proposal's tail the product overflows: the density is then 0, as it is.
         with np.errstate(over="ignore"):
-            width = (dof * core**2 * np.exp(2 * log_scale))[:, None]
             for miss in self._standardised(theta):
                 total -= power * (dof + 1) / 2 * _log_product(1 + miss * miss / width)
         return total

@@ -69,6 +69,11 @@ KEPT_SHARE = 2 / 3
 a hundred; where more disagree, who is the outlier is no longer plain."""
 
 
+LOG_SCALE_LIMIT = 100.0
+"""Noise scales beyond exp of this are taken as this, so that their squares do not overflow; the
+prior has ruled them out long before."""
+
+
 @dataclass(frozen=True)
 class RowNoise:
     """How uncertain the closure of each row is as stated.
@@ -98,7 +103,8 @@ def log_density(
     """Return the log density of F / sigma, same shape, for noise scales exp(`log_scale`)."""
     half = (tails.dof + 1) / 2
     norm = gammaln(half) - gammaln(tails.dof / 2) - 0.5 * np.log(tails.dof * np.pi)
-    square = (standardised / tails.core) ** 2 * np.exp(-2 * np.asarray(log_scale))
+    shrunk = np.exp(-2 * np.clip(log_scale, -LOG_SCALE_LIMIT, LOG_SCALE_LIMIT))
+    square = (standardised / tails.core) ** 2 * shrunk
     density: FloatArray = (
         norm - np.log(tails.core) - log_scale - half * np.log1p(square / tails.dof)
     )

@@ -64,6 +64,18 @@ def test_log_posterior_is_the_sum_of_its_parts(name: str) -> None:
     )
 
 
+def test_wild_noise_scales_have_next_to_no_density() -> None:
+    """Property: far out in a proposal's tail nothing overflows into a warning or a NaN."""
+    rows, theta = simulated(np.random.default_rng(0), count=17, axis_z_mm=-20.0)
+    target = log_posterior(rows, MODELS["base"], NO_PRIORS, theta, tails=CLEAN)
+    x = np.tile([*theta[list(MODELS["base"].indices)], 0.0], (4, 1))
+    x[1:, -1] = -2000.0, 2000.0, -80.0
+    density = target(x)
+    assert not np.isnan(density).any()
+    assert (density[1:] < density[0] - 1000).all()
+    assert not np.isnan(target.pointwise(x)).any()
+
+
 def test_importance_sampling_of_a_normal_density() -> None:
     """Closed form: evidence, mean and covariance of a correlated normal (r = -0.9997)."""
     covariance = np.array([[100.0, -99.97, 0], [-99.97, 100.0, 0], [0, 0, 1e-6]])

@@ -28,8 +28,9 @@ if TYPE_CHECKING:
 INSTALL = "apt install python3-mrcal"
 """How Debian and Ubuntu users get mrcal."""
 
-TIMEOUT_S = 300.0
-"""A solve takes one second with 50 views and about ten with a splined lens; this one hangs."""
+TIMEOUT_S, TIMEOUT_VIEWS = 300.0, 100
+"""A solve takes one second with 50 views and about ten with a splined lens; this one hangs. With
+more views it has as many times as long."""
 
 _WORKER = Path(__file__).with_name("mrcal_worker.py")
 _MISSING = 4
@@ -51,6 +52,7 @@ def call_worker(arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
         If mrcal fails, crashes or hangs.
     """
     interpreter = mrcal_interpreter()
+    timeout = TIMEOUT_S * max(1.0, len(arrays["observations"]) / TIMEOUT_VIEWS)
     # The variables that steer this interpreter are not meant for that one. One thread: the sums,
     # and so the last digits, are then the same on every machine.
     environment = {k: v for k, v in os.environ.items() if not k.startswith("PYTHON")}
@@ -66,14 +68,14 @@ def call_worker(arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
                 env=environment,
                 stdin=subprocess.DEVNULL,
                 capture_output=True,
-                timeout=TIMEOUT_S,
+                timeout=timeout,
                 check=False,
             )
         except OSError as error:
             raise MrcalMissingError(_missing(interpreter, str(error))) from error
         except subprocess.TimeoutExpired as error:
             raise EstimationError(
-                f"mrcal gave no answer within {TIMEOUT_S:.0f} s; use fewer views or a lens model "
+                f"mrcal gave no answer within {timeout:.0f} s; use fewer views or a lens model "
                 "with fewer parameters"
             ) from error
         words = _last_words(done.stderr)

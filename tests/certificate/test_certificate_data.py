@@ -14,6 +14,7 @@ import pytest
 from calib.certificate.build import build_certificate
 from calib.certificate.data import CertificateData
 from calib.certificate.inputs import Administration, CertificateInputs, NotCertified, new_issue
+from calib.certificate.numbers import LISTED_CHECKS
 from calib.certificate.wording import NOT_STATED, clean
 from calib.gates import Gate
 from calib.uncertainty.certified import CheckedDepth, check_depth
@@ -359,3 +360,25 @@ def test_a_weak_token_is_refused(token: str) -> None:
 def test_a_time_without_zone_is_refused() -> None:
     with pytest.raises(ValueError, match="time zone"):
         new_issue(now=datetime(2026, 1, 1), dataset_sha256="3f2a9c1b", token=DIGITS)
+
+
+def test_of_very_many_checks_the_worst_are_listed() -> None:
+    """Property: what is printed ends; summary and conclusion are of all checks."""
+    plain = example.inputs()
+    first = plain.evidence.checks[0]
+    count = 3 * LISTED_CHECKS
+    off = [0.01 * (i % 7 - 3) * (1 + (i % 50 == 0)) for i in range(count)]
+    checks = tuple(
+        replace(first, name=f"p{i}", z_mm=z, low95_mm=z - 1, high95_mm=z + 1)
+        for i, z in enumerate(first.reference_mm + d for d in off)
+    )
+    data = build_certificate(replace(plain, evidence=replace(plain.evidence, checks=checks)))
+    listed = [int(error.name[1:]) for error, _ in data.checks]
+    assert len(listed) == LISTED_CHECKS
+    assert listed == sorted(listed)
+    assert {i for i in range(count) if abs(off[i]) > 0.03} <= set(listed)
+    assert f"{count} points" in str(data.check_summary)
+    assert f"Listed are the {LISTED_CHECKS} points" in str(data.check_summary)
+    annex = next(a for a in data.annexes if a.title == "Independent check")
+    assert [row[0] for row in annex.tables[0].rows] == [f"p{i}" for i in listed]
+    assert f"The {LISTED_CHECKS} worst are listed" in annex.introduction

@@ -37,6 +37,13 @@ def _seed(text: str) -> int:
     return int(text)
 
 
+def _path(text: str) -> Path:
+    """Return a path; an empty one, of an unset variable, would be the working directory."""
+    if not text:
+        raise argparse.ArgumentTypeError("is empty: give a name")
+    return Path(text)
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="calib",
@@ -48,8 +55,8 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
 
     add = commands.add_parser("calibrate", help="run the whole chain on a dataset")
-    add.add_argument("dataset", type=Path, metavar="DATASET", help="folder with dataset.toml")
-    add.add_argument("--out", type=Path, metavar="DIR", help="default: reports/NAME")
+    add.add_argument("dataset", type=_path, metavar="DATASET", help="folder with dataset.toml")
+    add.add_argument("--out", type=_path, metavar="DIR", help="default: reports/NAME")
     add.add_argument("--seed", type=_seed, default=0, metavar="N", help="default: 0")
     add.add_argument(
         "--depths", type=float, nargs=2, metavar=("LOW", "HIGH"),
@@ -58,7 +65,7 @@ def _parser() -> argparse.ArgumentParser:
     add.set_defaults(run=_calibrate)
 
     add = commands.add_parser("check", help="list every problem of a dataset; writes nothing")
-    add.add_argument("dataset", type=Path, metavar="DATASET")
+    add.add_argument("dataset", type=_path, metavar="DATASET")
     add.set_defaults(run=_check)
 
     add = commands.add_parser("measure", help="3-D positions from readings and a calibration")

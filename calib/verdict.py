@@ -14,6 +14,7 @@ from calib.gates import Gate
 from calib.geometry.parameters import INDEX, PARAMETERS
 from calib.images.result import ImageResult
 from calib.instrument import normalised_error
+from calib.observations import Observations
 from calib.results import GazeResult
 
 NOISE_SCALE_LIMIT = 5.0
@@ -21,9 +22,18 @@ NOISE_SCALE_LIMIT = 5.0
 statement, a row or the model is wrong."""
 
 NOISE_SCALE_REMARK = 2.0
+"""Also the limit where the rows are too few for any model but the smallest: nothing then tells
+uncertainties stated too small from an axis that stands off."""
+
+ZERO_ERROR_REMARK_RAD = float(np.deg2rad(5.0))
+"""An axis set by eye is right to a degree or two. Readings in gon look like a zero error of 9."""
 
 MISSED_SHARE = 0.1
 """Share of validation depths outside their 95 % intervals that chance explains often enough."""
+
+GAZE_RESIDUAL_REMARK_RAD = float(np.deg2rad(0.5))
+"""Half a degree off C2's centre column; a motor's count leaves a tenth. How far C2's centre stands
+before its yaw axis is no parameter: 30 mm at half a degree are 0.3 mm of baseline."""
 
 OUTLIER_SHARE_LIMIT = 1 / 6
 """Above it the noise scale itself may be an outlier's: see `calib.fit.noise`."""
@@ -111,10 +121,17 @@ def _residuals(gaze: GazeResult, model: str) -> Gate:
     detail = (
         f"residuals of {model} are {scale:.2f} times what the stated uncertainties lead to expect"
     )
-    passed = scale <= NOISE_SCALE_LIMIT
-    if not passed:
+    alone = len(gaze.robust) == 1
+    limit = NOISE_SCALE_REMARK if alone else NOISE_SCALE_LIMIT
+    passed = scale <= limit
+    if not passed and alone:
         detail += (
-            f" (limit {NOISE_SCALE_LIMIT:g}): a statement in dataset.toml, some rows or the model "
+            f" (limit {limit:g} where no other model could be fitted): add rows, which tell "
+            "whether the model or a statement in dataset.toml is wrong"
+        )
+    elif not passed:
+        detail += (
+            f" (limit {limit:g}): a statement in dataset.toml, some rows or the model "
             "are wrong; look at the residuals in the report"
         )
     return Gate("residuals", passed=passed, detail=detail)
@@ -142,6 +159,13 @@ def gaze_warnings(gaze: GazeResult) -> tuple[str, ...]:
                 f"uncertainties lead to expect; all uncertainties are widened accordingly "
                 f"({NOISE_SCALE})"
             )
+        zero = float(fit.theta[INDEX["delta2_rad"]])
+        if abs(zero) > ZERO_ERROR_REMARK_RAD:
+            found.append(
+                f"the zero error of the encoder comes out as {np.rad2deg(zero):.1f} deg: if that "
+                "is a surprise, check unit (degrees) and origin of alpha2_deg (at 90 C2 looks "
+                "parallel to Z of C1)"
+            )
         found += _left_to_priors(gaze.identifiability[model])
         found += [
             f"model {score.model}: left-out density of row {', '.join(score.unreliable)} is "
@@ -152,6 +176,7 @@ def gaze_warnings(gaze: GazeResult) -> tuple[str, ...]:
     if gaze.average is not None and gaze.depths is not None:
         told = doubt_of(gaze.average, gaze.depths)
         found += [] if told is None else [told]
+    found += _off_centre(gaze.rows)
     if gaze.calibrated is not None and gaze.calibrated.measures_residual:
         found.append(
             "depth uncertainties are those of readings with C2's image (u2_px), as in the "
@@ -163,6 +188,20 @@ def gaze_warnings(gaze: GazeResult) -> tuple[str, ...]:
             f"base/convex is not proved optimal: duality gap {gaze.convex.duality_gap:.1e}"
         )
     return tuple(found)
+
+
+def _off_centre(rows: Observations) -> list[str]:
+    """Return a warning if C2 did not gaze at the targets that its images show."""
+    off = np.abs(rows.gaze_residual_rad)
+    far, worst = int(np.sum(off > GAZE_RESIDUAL_REMARK_RAD)), int(np.argmax(off))
+    if not far:
+        return []
+    return [
+        f"in {far} of {len(rows)} rows the target is off C2's centre column, by "
+        f"{np.rad2deg(off[worst]):.1f} deg in {rows.ids[worst]}: the model holds near the centre "
+        "column. Turn C2 until it gazes at the target; if it did, check [board] target, u2_px and "
+        "the principal point of C2"
+    ]
 
 
 def _left_to_priors(found: Identifiability) -> list[str]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import glob
 import hashlib
+import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
@@ -64,6 +65,12 @@ class Folder:
                 what="is a file, not a dataset folder",
                 remedy="give the folder that holds dataset.toml",
             )
+        if not os.access(root, os.R_OK | os.X_OK):
+            raise InputError.single(
+                where=str(path),
+                what="cannot be read (permission denied)",
+                remedy="check the permissions of the folder",
+            )
         return cls(root)
 
     def file(self, name: str, *, where: str) -> Path:
@@ -81,8 +88,11 @@ class Folder:
             inside = path.is_relative_to(self.root)
             exists, regular, folder = path.exists(), path.is_file(), path.is_dir()
         except (OSError, ValueError, RuntimeError) as error:
+            denied = isinstance(error, PermissionError)
             raise InputError.single(
-                where=where, what=f"{shown(name)} cannot be read ({reason(error)})", remedy=_INSIDE
+                where=where,
+                what=f"{shown(name)} cannot be read ({reason(error)})",
+                remedy="check the permissions of its folder" if denied else _INSIDE,
             ) from error
         if not inside:
             raise InputError.single(
@@ -179,6 +189,8 @@ class Folder:
             return "check the pattern"
         try:
             suffixes = {e.suffix for e in (self.root / parent).iterdir() if e.is_file()}
+        except PermissionError:
+            return f"the folder {shown(str(parent))} cannot be read: check its permissions"
         except OSError:
             return f"there is no folder {shown(str(parent))}: copy the images there"
         if not suffixes:

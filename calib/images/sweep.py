@@ -37,6 +37,13 @@ ECCENTRICITY_STD_LIMIT_MM = 1.0
 SCALE_LIMIT = 0.05
 """Encoders and gears are right to 1 %; more is a wrong unit, step count or gear ratio."""
 
+READING_LIMIT = 10.0
+"""Stated standard uncertainties of a reading by which it may err: backlash makes up to some five; a
+slip of the pen is degrees."""
+
+SMALL_READING_ERROR_RAD = float(np.deg2rad(0.05))
+"""The paper's step: no reading is a slip for less, however fine the encoder is said to be."""
+
 HEIGHT_STD_MM = 20.0
 """C1 and C2 are mounted level within this, where no 1T2 tells."""
 
@@ -198,7 +205,7 @@ def yaw_sweep(
         rejected=solution.rejected,
         gates=(),
     )
-    return replace(result, gates=_gates(result, _span(problem)))
+    return replace(result, gates=_gates(result, _span(problem), readings.std_rad))
 
 
 def _parameters(
@@ -243,8 +250,19 @@ def _span(problem: SweepProblem) -> float:
     )
 
 
-def _gates(result: SweepResult, span: float) -> tuple[Gate, ...]:
-    """Return what must hold before the sweep may be used."""
+def _gates(result: SweepResult, span: float, stated_rad: float) -> tuple[Gate, ...]:
+    """Return what must hold before the sweep may be used.
+
+    Parameters
+    ----------
+    span
+        Widest turn before one board, rad.
+    stated_rad
+        Standard uncertainty that is stated for a reading.
+    """
+    worst = int(np.argmax(np.abs(result.reading_errors_rad)))
+    error = abs(float(result.reading_errors_rad[worst]))
+    limit = max(READING_LIMIT * stated_rad, SMALL_READING_ERROR_RAD)
     return (
         fit_gate(
             "sweep-fit",
@@ -272,5 +290,12 @@ def _gates(result: SweepResult, span: float) -> tuple[Gate, ...]:
             f"encoder scale error {100 * result.encoder_scale:.2f} %, standard uncertainty "
             f"{100 * result.encoder_scale_std:.2f} % (limit {100 * SCALE_LIMIT:.0f})",
             remedy="check the unit of alpha2_deg, steps per turn and gear ratio",
+        ),
+        gate(
+            "sweep-readings",
+            error <= limit,
+            f"readings differ by {np.degrees(error):.3f} deg at most from the turns in the images, "
+            f"in {result.images[worst]} (limit {np.degrees(limit):.3f})",
+            remedy="check alpha2_deg of this image first, or state u_alpha2_deg in [encoder]",
         ),
     )

@@ -73,6 +73,11 @@ class SweepReadings:
     resolution_rad: float
     u_alpha2_rad: float
 
+    @property
+    def std_rad(self) -> float:
+        """Stated standard uncertainty of a reading: the rounding to counts and the rest, rad."""
+        return float(np.hypot(self.resolution_rad / np.sqrt(12), self.u_alpha2_rad))
+
 
 @dataclass(frozen=True)
 class SweepSolution:
@@ -134,7 +139,7 @@ def solve_sweep(
         placement=placement,
         camera=camera,
         intrinsics_root=_root(covariance),
-        turn_std_rad=float(np.hypot(readings.resolution_rad / np.sqrt(12), readings.u_alpha2_rad)),
+        turn_std_rad=readings.std_rad,
         sigma_px=START_SIGMA_PX,
         foot_std_mm=FOOT_STD_MM,
         encoder_prior=tuple(
@@ -184,15 +189,18 @@ def _root(covariance: FloatArray) -> FloatArray:
 def _in_the_right_sense(problem: SweepProblem) -> FloatArray:
     """Return unknowns at which the images fit, or raise EstimationError if they fit backwards.
 
-    The encoder's terms and the axis' foot are held meanwhile: a scale error of -2 is the other
-    sense, too, and so is, before one board, an axis twice as far away as the board.
+    The encoder's terms, the readings and the axis' foot are held meanwhile: a scale error of -2 is
+    the other sense, too, so are readings that all err, and so is, before one board, an axis twice
+    as far away as the board.
     """
     held = replace(
         problem,
         foot_std_mm=HELD * problem.foot_std_mm,
+        turn_std_rad=HELD * problem.turn_std_rad,
         encoder_prior=tuple((mean, HELD * std) for mean, std in problem.encoder_prior),
     )
     x, rms = _attempt(held)
+    x[problem.at_turns] *= HELD
     if rms <= RMS_LIMIT_PX:
         return x
     _, other = _attempt(held.flipped())

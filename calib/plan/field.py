@@ -90,7 +90,7 @@ class Field:
         z = 1 / np.linspace(1 / depths_mm[0], 1 / depths_mm[1], GRID_DEEP)
         x = np.linspace(*self.x1c, GRID_ACROSS)
         y = np.linspace(*self.y1c, GRID_HIGH) if high else np.array([self.level])
-        each = np.stack(np.meshgrid(x, y, z, indexing="ij"), axis=-1).reshape(-1, 3)
+        each: FloatArray = np.stack(np.meshgrid(x, y, z, indexing="ij"), axis=-1).reshape(-1, 3)
         points = each[:, 2:] * np.column_stack([each[:, :2], np.ones(len(each))])
         return points[self.holds(theta, points)]
 

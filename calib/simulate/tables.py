@@ -111,8 +111,20 @@ def draw_targets(
 
 
 def within_reach(rig: Rig, points: FloatArray) -> BoolArray:
-    """Return which points, frame C1, mm, shape (n, 3), C2 can be turned to and then sees."""
-    reading = gaze_at(rig.theta, points).alpha2
+    """Return which points, frame C1, mm, shape (n, 3), C2 can be turned to and then sees.
+
+    Raises
+    ------
+    UsageError
+        If the yaw axis is among the points.
+    """
+    try:
+        reading = gaze_at(rig.theta, points).alpha2
+    except ValueError as error:
+        raise UsageError(
+            f"the parameters make no rig: {error}; ask for a smaller eccentricity, smaller tilts "
+            "or a longer baseline"
+        ) from error
     height = rays_in_c2(rig, reading, points)[:, 1]
     (_, top), (_, bottom) = _field(rig.c2)
     low, high = rig.yaw_range_rad

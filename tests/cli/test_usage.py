@@ -205,3 +205,18 @@ def test_console_script_and_module_are_the_same() -> None:
     with pytest.raises(SystemExit) as ended:
         main(["--version"])
     assert ended.value.code == 0
+
+
+def test_an_empty_name_is_not_the_working_directory(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What `--out "$OUT"` says where OUT is not set."""
+    data = dataset(tmp_path / "data", GOOD)
+    monkeypatch.chdir(tmp_path)
+    before = tree(tmp_path)
+    for arguments in (("calibrate", str(data), "--out", ""), ("check", "")):
+        with pytest.raises(SystemExit) as ended:
+            main(list(arguments))
+        assert ended.value.code == 2
+        assert "is empty: give a name" in capsys.readouterr().err
+    assert tree(tmp_path) == before

@@ -303,6 +303,24 @@ def test_file_instead_of_folder(tmp_path: Path) -> None:
     assert "not a dataset folder" in problem.what
 
 
+def test_folder_that_may_not_be_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The system is asked by a stand-in: the superuser, who may run the tests, may read all."""
+    folder = write_dataset(tmp_path)
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    assert_problem(problems_of(folder), str(folder), "permission denied", "check the permissions")
+
+
+def test_image_folder_that_may_not_be_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = write_dataset(tmp_path, manifest=WITH_IMAGES)
+    (folder / "c1").mkdir()
+
+    def refuse(_: Path) -> None:
+        raise PermissionError
+
+    monkeypatch.setattr(Path, "iterdir", refuse)
+    assert_problem(problems_of(folder), "images", "no image matches", "check its permissions")
+
+
 def test_folder_without_manifest(tmp_path: Path) -> None:
     (problem,) = problems_of(tmp_path)
     assert problem.where == str(tmp_path)

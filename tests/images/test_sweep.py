@@ -286,6 +286,35 @@ def test_wrong_sign_of_the_encoder_is_named(readings: FloatArray) -> None:
         solve(rng, drawn_rig(rng), readings=readings, edit=edit)
 
 
+def test_wrong_sign_is_named_though_few_images_could_follow_it() -> None:
+    """Six images a board at counts of 0.05625 degrees, the intrinsics well known: readings that all
+    err, by thousands of their uncertainties, would make the images fit to 0.9 px."""
+    rng = np.random.default_rng(14)
+    rig = replace(drawn_rig(rng), resolution_rad=float(np.deg2rad(0.05625)))
+
+    def edit(found: Corners, shown: SweepReadings) -> tuple[Corners, SweepReadings]:
+        return found, replace(shown, alpha2_rad=np.pi - shown.alpha2_rad)
+
+    few = np.deg2rad(np.linspace(60, 95, 6))
+    with pytest.raises(EstimationError, match="alpha2 counts the wrong way round"):
+        solve(rng, rig, readings=few, sigma_px=0.02, lens_std=0.1 * LENS_STD, edit=edit)
+
+
+def test_a_wrong_reading_is_named() -> None:
+    rng = np.random.default_rng(15)
+
+    def edit(found: Corners, shown: SweepReadings) -> tuple[Corners, SweepReadings]:
+        alpha2 = np.array(shown.alpha2_rad)
+        alpha2[4] += np.deg2rad(5.0)
+        return found, replace(shown, alpha2_rad=alpha2)
+
+    right, wrong = (solve(rng, drawn_rig(rng), edit=e) for e in (unchanged, edit))
+    assert [g.name for g in right.gates if not g.passed] == []
+    detail = {g.name: g.detail for g in wrong.gates if not g.passed}
+    assert wrong.images[4] in detail["sweep-readings"]
+    assert "check alpha2_deg of this image" in detail["sweep-readings"]
+
+
 def test_wrong_unit_of_the_encoder_is_named() -> None:
     rng = np.random.default_rng(8)
 

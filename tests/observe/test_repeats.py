@@ -10,12 +10,13 @@ from dataclasses import replace
 import numpy as np
 
 from calib.arrays import FloatArray
+from calib.dataset.readers import read_measurements
 from calib.fit.priors import Priors
 from calib.fit.robust import fit_model
 from calib.geometry.parameters import INDEX, vector
 from calib.geometry.plane import OBSERVABLE, gaze_at
 from calib.observations import Observations
-from calib.repeats import combine
+from calib.repeats import combine, repeats_told
 
 STEP = np.deg2rad(0.05625)
 U_X, U_Z_REL = 2e-4, 0.002
@@ -74,6 +75,17 @@ def test_repeats_become_their_mean_in_the_order_of_the_table() -> None:
     np.testing.assert_allclose(one.std[:, OBSERVABLE.x1c], U_X / np.sqrt(10))
     np.testing.assert_array_equal(one.std[:, OBSERVABLE.alpha2], STEP / np.sqrt(12))
     np.testing.assert_allclose(one.std[:, OBSERVABLE.z], U_Z_REL * one.z_mm)
+
+
+def test_the_run_warns_of_repeats_but_not_of_chance() -> None:
+    lines = [f"{i},0.1,0.0,{60 + i / 4}" for i in range(200)]
+    table = read_measurements("\n".join(["id,x1c,y1c,alpha2_deg", *lines]), name="gaze.csv")
+    rows = rows_at(targets(np.random.default_rng(5), 200), 1, np.random.default_rng(5))
+    assert repeats_told(table, rows) is None
+    assert repeats_told(table, rows.take(np.arange(199))) is None
+    told = repeats_told(table, rows.take(np.arange(20)))
+    assert told is not None
+    assert "200 rows repeat 20 gazes" in told
 
 
 def test_depths_taken_anew_are_averaged() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 from report_examples import paper
 
 from calib.fit.identifiability import Identifiability
@@ -45,3 +46,39 @@ def test_what_is_left_to_the_prior_is_said_once() -> None:
     assert text.endswith("its prior decides baseline_mm and eccentricity_mm")
     closed = tuple(replace(c, remedies=()) for c in told.combinations)
     assert len(warned(replace(told, combinations=closed))) == 2
+
+
+def test_targets_off_the_centre_column_are_named() -> None:
+    found = gaze()
+    assert not [text for text in gaze_warnings(found) if "centre column" in text]
+    off = np.zeros(len(found.rows))
+    off[2], off[4] = np.deg2rad([-2.0, 0.6])
+    seen = replace(found, rows=replace(found.rows, gaze_residual_rad=off))
+    (text,) = (text for text in gaze_warnings(seen) if "centre column" in text)
+    assert text.startswith(f"in 2 of {len(off)} rows")
+    assert f"2.0 deg in {found.rows.ids[2]}" in text
+
+
+def refitted(**changes: object) -> GazeResult:
+    """Return the paper's results with another robust fit of the selected model."""
+    found = gaze()
+    fit = replace(found.robust["axis-offset"], **changes)
+    return replace(found, robust=found.robust | {"axis-offset": fit})
+
+
+def test_residuals_of_the_only_possible_model_have_a_tighter_limit() -> None:
+    found = refitted(noise_scale=3.0)
+    assert [gate for gate in gaze_gates(found) if not gate.passed] == []
+    alone = replace(found, robust={"axis-offset": found.robust["axis-offset"]})
+    (failed,) = (gate for gate in gaze_gates(alone) if not gate.passed)
+    assert failed.name == "residuals"
+    assert "add rows" in failed.detail
+
+
+def test_a_large_zero_error_is_remarked_on() -> None:
+    assert not [text for text in gaze_warnings(gaze()) if "zero error" in text]
+    fit = gaze().robust["axis-offset"]
+    values = np.array(fit.values)
+    values[fit.names.index("delta2_rad")] = np.deg2rad(-9.0)
+    found = gaze_warnings(refitted(values=values))
+    assert [text for text in found if "-9.0 deg: if that is a surprise" in text]

@@ -243,6 +243,7 @@ def test_a_place_that_cannot_be_written_is_named(tmp_path: Path) -> None:
         ({"model": "bas"}, "unknown model 'bas'"),
         ({"fixed": {"baseline": 1.0}}, "unknown parameter 'baseline'"),
         ({"fixed": {"baseline_mm": -100.0}}, "baseline_mm = -100"),
+        ({"fixed": {"eccentricity_mm": 1e6}}, "ask for a smaller eccentricity"),
         ({"fixed": {"axis_z_mm": float("nan")}}, "axis_z_mm = nan is not finite"),
         ({"rows": 0}, "0 gaze rows"),
         ({"outlier_share": 1.5}, "not between 0 and 1"),

@@ -22,6 +22,10 @@ SAME_PLACE = 5.0
 """Neighbouring values that differ by no more standard uncertainties of a row are of one place.
 Repeats leave no such gap, not even if their scatter is twice what is stated."""
 
+WIDEST = 2.0
+"""Widths, as `SAME_PLACE` sets them, that values of one place extend over: a target that moves on
+by small steps is not at one place, and is divided by widths."""
+
 SAME_DEPTH = 1e-3
 """Depths this near, relatively, are of one place in any case: they may be stated as exact."""
 
@@ -100,8 +104,8 @@ def combine(rows: Observations) -> Observations:
 def places(rows: Observations) -> IntArray:
     """Return the place and count of each row as a number from 0, shape (n,).
 
-    Rows share one if they read the same and a chain of near neighbours joins them in x1c, y1c, gaze
-    residual and depth.
+    Rows share one if they read the same and near neighbours join them in x1c, y1c, gaze residual
+    and depth.
     """
     label = np.zeros(len(rows), dtype=np.int64)
     width = SAME_PLACE * rows.std
@@ -122,13 +126,27 @@ def places(rows: Observations) -> IntArray:
 
 
 def _split(label: IntArray, values: FloatArray, within: FloatArray) -> IntArray:
-    """Return labels, shape (n,), where gaps of the values wider than `within` divide each."""
+    """Return labels, shape (n,), where gaps of the values wider than `within` divide each.
+
+    What then still extends over more than `WIDEST` widths is divided by widths.
+    """
     order = np.lexsort((values, label))
     gap = np.diff(values[order]) > within[order][1:]
     new = gap | (np.diff(label[order]) > 0)
     divided = np.empty_like(label)
     divided[order] = np.concatenate([[0], np.cumsum(new)])[: len(label)]
-    return divided
+    if not len(divided):
+        return divided
+    count = int(divided.max()) + 1
+    least, width = np.full(count, np.inf), np.zeros(count)
+    np.minimum.at(least, divided, values)
+    np.maximum.at(width, divided, within)
+    far = _spread(values, divided, count) > WIDEST * width
+    cell = np.zeros(len(values), dtype=np.int64)
+    moved = far[divided]
+    cell[moved] = ((values - least[divided])[moved] / width[divided][moved]).astype(np.int64)
+    parts: IntArray = np.unique(np.stack([divided, cell]), axis=1, return_inverse=True)[1].ravel()
+    return parts
 
 
 def _means(values: FloatArray, label: IntArray, size: FloatArray) -> FloatArray:

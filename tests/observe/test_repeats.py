@@ -107,6 +107,21 @@ def test_another_count_height_or_depth_is_no_repeat() -> None:
         assert len(combine(replace(rows, **{name: values}))) == 6
 
 
+def test_a_target_that_moves_by_small_steps_is_not_at_one_place() -> None:
+    """C2 rests while a target moves along its gaze plane, each step far below the errors."""
+    z = np.linspace(600.0, 1800.0, 400)
+    start = gaze_at(THETA, np.array([[0.0, 0.0, 600.0]]))
+    turn = start.alpha2[0] + THETA[INDEX["delta2_rad"]]
+    points = np.stack([(z - 600.0) / np.tan(turn), np.zeros_like(z), z], axis=1)
+    rows = rows_at(points, 1, np.random.default_rng(3))
+    rows = replace(rows, alpha2_rad=np.full(len(z), start.alpha2[0]))
+    found = combine(rows)
+    assert 10 < len(found) < 200
+    # Depth and direction are still all over the range, and no row stands for more than two widths.
+    assert np.ptp(found.z_mm) > 0.9 * np.ptp(rows.z_mm)
+    assert np.diff(np.sort(found.z_mm)).max() < 2 * 0.012 * 1800
+
+
 def test_parameters_are_as_uncertain_as_they_scatter() -> None:
     """Simulated truth: 12 targets ten times each, 60 rigs, the baseline seen at 90 degrees.
 

@@ -35,6 +35,9 @@ MRCAL_MODELS: Final = {
 }
 """Lens models that equal OpenCV's, with their number of distortion coefficients."""
 
+LONGEST_SIDE_PX = 100_000
+"""No imager is larger; some file's number may be, or infinite."""
+
 # The packed inputs of the solve: base 85, so free of quotation marks.
 _OPTIMIZATION_INPUTS = re.compile(r"b'[^']*'|b\"[^\"]*\"")
 # Without strings and comments, a model holds nothing but numbers and brackets, nested twice.
@@ -188,6 +191,6 @@ def _camera(matrix: FloatArray, distortion: FloatArray, size: FloatArray, name: 
             f"has {len(distortion)} distortion coefficients",
             f"OpenCV's models have {', '.join(map(str, DISTORTION_LENGTHS))}",
         )
-    if len(size) != 2 or min(size) < 1 or not np.array_equal(size, np.round(size)):
+    if len(size) != 2 or not 1 <= min(size) <= max(size) <= LONGEST_SIDE_PX or np.any(size % 1):
         _refuse(name, "its image size is not two whole numbers", "check the file")
     return Camera(matrix, distortion, (int(size[0]), int(size[1])))

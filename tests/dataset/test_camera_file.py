@@ -162,6 +162,8 @@ YAML_FAULTS = {
     "word": ("421.7", "x", "'camera_matrix'"),
     "skewed": ("cols: 3", "cols: 1", "matrix"),
     "broken": ("data: [", "data: [[[", "OpenCV"),
+    "endless": ("image_width: 400", "image_width: 1e400", "image size"),
+    "half a pixel": ("image_width: 400", "image_width: 400.5", "image size"),
     "fisheye": ("image_width", "fisheye_model: 1\nimage_width", "fisheye"),
 }
 

@@ -63,14 +63,14 @@ class Verdict:
     worst
         The score nearest to a limit, or farthest beyond one.
     low, high
-        The limits; None for infinity.
+        The limits; None for none.
     """
 
     claim: str
     held: bool
     broken: bool
     worst: Score
-    low: float
+    low: float | None
     high: float | None
 
 
@@ -104,12 +104,13 @@ CLAIMS: tuple[Claim, ...] = (
     Claim("ranks of true parameters and noise scale in their posterior are uniform",
           GROUPS["ranks"], (), ("posterior",), "uniformity_p", UNIFORM_P),
     Claim("the extended model is selected on at most 10 % of base rigs",
-          _named(outliers=False, model="base"), ("model",), ("axis-offset",), "share", 0.0, 0.10),
+          _named(outliers=False, model="base"), ("model",), ("axis-offset",),
+          "share", -INFINITY, 0.10),
     Claim("it is selected on at least 95 % of rigs with an axis offset over 5 standard errors",
           _named(outliers=False, model="axis-offset"), ("model",), ("axis-offset",),
           "share_clear", 0.95),
     Claim("advised targets leave u(z) at least 25 % below random ones",
-          (ADVICE,), ("depth asked",), (), "u_ratio", 0.0, 0.75),
+          (ADVICE,), ("depth asked",), (), "u_ratio", -INFINITY, 0.75),
 )
 # fmt: on
 
@@ -126,8 +127,8 @@ def _verdict(claim: Claim, scores: Sequence[Score]) -> Verdict | None:
     worst = max(meant, key=lambda s: _beyond(claim, s))
     held = all(_beyond(claim, s) <= 0 for s in meant)
     broken = any(_beyond(claim, s) > CLEARLY * (s.std_error or 0.0) for s in meant)
-    high = claim.high if np.isfinite(claim.high) else None
-    return Verdict(claim.name, held, broken and not held, worst, claim.low, high)
+    low, high = (limit if np.isfinite(limit) else None for limit in (claim.low, claim.high))
+    return Verdict(claim.name, held, broken and not held, worst, low, high)
 
 
 def _beyond(claim: Claim, score: Score) -> float:

@@ -21,35 +21,12 @@ from calib.instrument import (
 )
 from calib.observations import Observations
 from calib.observe import Setup
-from calib.uncertainty.measurement import Instrument
-from calib.uncertainty.mixture import CLEARLY_LONGER, MixedDepths, mix_depths
+from calib.uncertainty.measurement import Instrument, ModelShare
+from calib.uncertainty.mixture import CLEARLY_LONGER, MixedDepths, inverse_length, mix_depths
 from calib.uncertainty.predictive import linear_positions
 
 FACTOR_POINTS = 9
 """Depths that a model's coverage factor is from: it changes slowly with depth."""
-
-
-@dataclass(frozen=True)
-class ModelShare:
-    """One model's part in the average.
-
-    Parameters
-    ----------
-    model, weight
-        Its name and its weight; the weights of all sum to 1.
-    instrument
-        As the model describes it, by means and covariance alone.
-    noise_factor
-        By how much its fit widens the stated uncertainties of a reading.
-    factor95
-        Coverage factor of its inverse depth; see `calib.instrument.DepthTable`.
-    """
-
-    model: str
-    weight: float
-    instrument: Instrument
-    noise_factor: float
-    factor95: float
 
 
 @dataclass(frozen=True)
@@ -119,7 +96,7 @@ def share_of(
 def doubt_of(average: ModelAverage, table: DepthTable) -> str | None:
     """Return a warning where the average's intervals are clearly longer than those of `table`."""
     ours, all_of_them = (
-        1 / p.low95_mm - 1 / p.high95_mm for p in (table.prediction, average.prediction)
+        inverse_length(p.low95_mm, p.high95_mm) for p in (table.prediction, average.prediction)
     )
     ratio = float((all_of_them / ours)[~table.extrapolated].max(initial=0.0))
     if not ratio > CLEARLY_LONGER:

@@ -18,6 +18,7 @@ from calib.geometry.parameters import NAMES
 from calib.observe import CameraSet, RowSettings, Setup, Shared
 from calib.uncertainty.measurement import (
     Instrument,
+    ModelShare,
     ParameterKnowledge,
     ReadingSpread,
     SharedErrors,
@@ -181,25 +182,6 @@ class _File(_Section):
 
 
 @dataclass(frozen=True)
-class Share:
-    """A fitted model's part in the average over all of them.
-
-    Parameters
-    ----------
-    model, weight
-        Its name and its weight; the weights sum to 1.
-    instrument, noise_factor, factor95
-        As in `Measuring`, by this model.
-    """
-
-    model: str
-    weight: float
-    instrument: Instrument
-    noise_factor: float
-    factor95: float
-
-
-@dataclass(frozen=True)
 class Measuring:
     """An instrument as calibration.json describes it.
 
@@ -224,7 +206,7 @@ class Measuring:
     noise_factor: float
     calibrated_mm: tuple[float, float]
     factor95: float
-    shares: tuple[Share, ...] = ()
+    shares: tuple[ModelShare, ...] = ()
 
 
 def read_calibration(path: Path) -> Measuring:
@@ -286,12 +268,12 @@ def _measuring(file: _File) -> Measuring:
     )
 
 
-def _share(share: _Share, reading: ReadingSpread, errors: tuple[str, ...]) -> Share:
+def _share(share: _Share, reading: ReadingSpread, errors: tuple[str, ...]) -> ModelShare:
     """Return a model's share; `reading` is that of the selected model, as it stands for all."""
     common = None
     if share.with_parameters is not None:
         common = SharedErrors(errors, np.array(share.with_parameters))
-    return Share(
+    return ModelShare(
         model=share.model,
         weight=share.weight,
         instrument=Instrument(share.knowledge(), reading, common),

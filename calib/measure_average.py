@@ -12,7 +12,7 @@ from calib.calibration_file import Measuring
 from calib.dataset.tables import GazeTable
 from calib.errors import InputError, UsageError
 from calib.measure import Measured, Positions, measure
-from calib.uncertainty.mixture import CLEARLY_LONGER, mix_depths, mix_moments
+from calib.uncertainty.mixture import CLEARLY_LONGER, inverse_length, mix_depths, mix_moments
 
 SELECTED, AVERAGE = "selected", "average"
 """Names that stand for no single model of a calibration."""
@@ -138,7 +138,9 @@ def doubt(measuring: Measuring, measured: Positions, table: GazeTable) -> str | 
         average = measure_average(measuring, table)
     except InputError:
         return "not all models of the calibration meet these readings in front of C1"
-    ratio = _length_of(average) / _length_of(measured)
+    ratio = inverse_length(average.low95_mm, average.high95_mm) / inverse_length(
+        measured.low95_mm, measured.high95_mm
+    )
     if not ratio.max(initial=0.0) > CLEARLY_LONGER:
         return None
     parts = (f"{s.model} {s.weight:.2f}" for s in measuring.shares if s.weight >= NEGLIGIBLE)
@@ -147,9 +149,3 @@ def doubt(measuring: Measuring, measured: Positions, table: GazeTable) -> str | 
         f"intervals of depth are up to {ratio.max():.1f} times as long; --model {AVERAGE} "
         "gives these"
     )
-
-
-def _length_of(measured: Positions) -> FloatArray:
-    """Return the lengths of the intervals of inverse depth, which are always finite, shape (n,)."""
-    length: FloatArray = 1 / measured.low95_mm - 1 / measured.high95_mm
-    return length

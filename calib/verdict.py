@@ -13,7 +13,7 @@ from calib.fit.priors import NOISE_SCALE
 from calib.gates import Gate
 from calib.geometry.parameters import INDEX, PARAMETERS
 from calib.images.result import ImageResult
-from calib.instrument import normalised_error
+from calib.instrument import CalibratedInstrument, DepthTable, normalised_error
 from calib.observations import Observations
 from calib.results import GazeResult
 
@@ -34,6 +34,10 @@ MISSED_SHARE = 0.1
 GAZE_RESIDUAL_REMARK_RAD = float(np.deg2rad(0.5))
 """Half a degree off C2's centre column; a motor's count leaves a tenth. How far C2's centre stands
 before its yaw axis is no parameter: 30 mm at half a degree are 0.3 mm of baseline."""
+
+DEPTH_LIMIT_REL = 0.2
+"""Relative standard uncertainty, in the middle of the calibrated depths, above which nothing has
+been calibrated that a look would not tell."""
 
 OUTLIER_SHARE_LIMIT = 1 / 6
 """Above it the noise scale itself may be an outlier's: see `calib.fit.noise`."""
@@ -74,6 +78,8 @@ def gaze_gates(gaze: GazeResult) -> tuple[Gate, ...]:
         gates += [_residuals(gaze, selected), _outliers(gaze, selected)]
         # Of the other models it is no fault to be undetermined: they were not selected.
         gates.append(gaze.identifiability[selected].gate)
+    if gaze.calibrated is not None and gaze.depths is not None:
+        gates.append(_depth(gaze.calibrated, gaze.depths))
     return tuple(gates)
 
 
@@ -145,6 +151,21 @@ def _outliers(gaze: GazeResult, model: str) -> Gate:
     if not passed:
         detail += "; too many to be chance: check these rows, units and groups"
     return Gate("outliers", passed=passed, detail=detail)
+
+
+def _depth(calibrated: CalibratedInstrument, depths: DepthTable) -> Gate:
+    """Gate on a measured depth: parameters, shared errors and the reading's own together."""
+    low, high = calibrated.calibrated_mm
+    middle = int(np.argmin(np.abs(depths.depth_mm - (low + high) / 2)))
+    relative = float(depths.prediction.u_mm[middle] / depths.depth_mm[middle])
+    passed = relative <= DEPTH_LIMIT_REL
+    detail = f"a depth of {depths.depth_mm[middle]:.0f} mm is measured to {100 * relative:.2g} %"
+    if not passed:
+        detail += (
+            f" (limit {100 * DEPTH_LIMIT_REL:.0f} %): add targets at other depths and yaw angles, "
+            "or look for what makes a reading so uncertain (table of sources in the report)"
+        )
+    return Gate("depth", passed=passed, detail=detail)
 
 
 def gaze_warnings(gaze: GazeResult) -> tuple[str, ...]:

@@ -167,6 +167,29 @@ class Instrument:
 
 
 @dataclass(frozen=True)
+class ModelShare:
+    """A fitted model's part in the average over all of them.
+
+    Parameters
+    ----------
+    model, weight
+        Its name and its weight; the weights of all sum to 1.
+    instrument
+        As the model describes it, by means and covariance alone.
+    noise_factor
+        By how much its fit proved the stated uncertainties of a reading too small, at least 1.
+    factor95
+        Coverage factor of its inverse depth; see `calib.instrument.DepthTable`.
+    """
+
+    model: str
+    weight: float
+    instrument: Instrument
+    noise_factor: float
+    factor95: float
+
+
+@dataclass(frozen=True)
 class Reading:
     """What the instrument reads of one point.
 

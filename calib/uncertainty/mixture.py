@@ -76,6 +76,12 @@ def mix_moments(
     return middle, total
 
 
+def inverse_length(low95_mm: FloatArray, high95_mm: FloatArray) -> FloatArray:
+    """Return the lengths of intervals of inverse depth, which are always finite, 1/mm."""
+    length: FloatArray = 1 / low95_mm - 1 / high95_mm
+    return length
+
+
 def _quantile(
     weights: FloatArray, mean: FloatArray, spread: FloatArray, level: float
 ) -> FloatArray:

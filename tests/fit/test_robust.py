@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -62,8 +63,8 @@ def test_constants_of_the_t_density(tails: Tails) -> None:
     def slope(x: float) -> float:
         return (dof + 1) * (width - x * x) / (width + x * x) ** 2
 
-    def mean(f: object) -> float:
-        return float(quad(lambda x: f(x) * norm.pdf(x), -12, 12)[0])  # type: ignore[operator]
+    def mean(f: Callable[[float], float]) -> float:
+        return float(quad(lambda x: f(x) * norm.pdf(x), -12, 12)[0])
 
     assert mean(lambda x: x * psi(x)) == pytest.approx(1.0, abs=1e-8)
     assert mean(slope) ** 2 / mean(lambda x: psi(x) ** 2) == pytest.approx(

@@ -59,6 +59,17 @@ def test_targets_off_the_centre_column_are_named() -> None:
     assert f"2.0 deg in {found.rows.ids[2]}" in text
 
 
+def test_a_reading_that_tells_nothing_of_depth_fails() -> None:
+    """However well the parameters are known."""
+    found = gaze()
+    assert found.depths is not None
+    wide = replace(found.depths.prediction, u_mm=0.3 * found.depths.depth_mm)
+    blurred = replace(found, depths=replace(found.depths, prediction=wide))
+    (failed,) = (gate for gate in gaze_gates(blurred) if not gate.passed)
+    assert failed.name == "depth"
+    assert "30 %" in failed.detail
+
+
 def refitted(**changes: object) -> GazeResult:
     """Return the paper's results with another robust fit of the selected model."""
     found = gaze()

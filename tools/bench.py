@@ -132,6 +132,7 @@ def posterior() -> list[Line]:
         result = sample_posterior(rows, fit, Priors({}), seed=SeedSequence(0))
         chain = (time.process_time() - started) / result.ess_bulk.min()
         rng = np.random.default_rng(0)
+        # Called at once, so the loop's names are those of this turn; below as well.
         quick = cpu(lambda: sample_importance(target, centre, covariance, rng))  # noqa: B023
         sample = sample_importance(target, centre, covariance, rng)
         peer = lmfit_seconds_per_draw(target, centre, steps)

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 from calib import __version__
 from calib.errors import CalibError, UsageError
+from calib.interruption import interrupt_on
 from calib.plan import command as plan_command
 from calib.runs import command as compare_command
 from calib.study import command as study_command
@@ -130,16 +131,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return INTERRUPTED
 
 
-def _terminated(*_: object) -> None:
-    raise KeyboardInterrupt
-
-
 def _calibrate(arguments: argparse.Namespace) -> int:
     from calib.console import summary
     from calib.dataset.load import load_dataset
     from calib.ledger import finished_before, run_fingerprint
 
-    signal.signal(signal.SIGTERM, _terminated)
+    interrupt_on(signal.SIGINT, signal.SIGTERM)
     dataset = load_dataset(arguments.dataset)
     out: Path = arguments.out or Path("reports") / dataset.root.name
     depths = tuple(arguments.depths) if arguments.depths else None

@@ -11,33 +11,37 @@ from tqdm import tqdm
 
 
 class Console:
-    """Names each stage as it starts; a bar for long ones, on a terminal only."""
+    """Names each stage as it starts; a bar for each long one at work, on a terminal only."""
 
     def __init__(self) -> None:
-        self._bar: tqdm[Any] | None = None
-        self._stage = ""
+        self._bars: dict[str, tqdm[Any]] = {}
 
     def announce(self, name: str) -> None:
         """Say that a stage starts."""
         self.close()
-        self._stage = name
         print(f"  {name}", file=sys.stderr, flush=True)
 
     def progress(self, name: str, done: int, expected: int) -> None:
         """Show how far a stage is."""
         if not sys.stderr.isatty():
             return
-        if self._bar is None:
-            self._bar = tqdm(desc=f"  {name}", file=sys.stderr, leave=False, unit="step")
-        self._bar.total = max(expected, done)
-        self._bar.n = done
-        self._bar.refresh()
+        if name not in self._bars:
+            self._bars[name] = tqdm(
+                desc=f"  {name}",
+                file=sys.stderr,
+                leave=False,
+                unit="step",
+                position=len(self._bars),
+            )
+        bar = self._bars[name]
+        bar.total = max(expected, done)
+        bar.n = done
+        bar.refresh()
 
     def close(self) -> None:
-        """Take the bar away."""
-        if self._bar is not None:
-            self._bar.close()
-            self._bar = None
+        """Take the bars away; those of stages still at work come back at their next step."""
+        while self._bars:
+            self._bars.popitem()[1].close()
 
 
 def summary(out: Path) -> tuple[str, bool]:

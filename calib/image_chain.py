@@ -32,7 +32,7 @@ from calib.images.sweep import SweepResult
 from calib.images.sweep_solve import SweepReadings
 from calib.images.types import Corners
 from calib.observe import CameraSet, Shared, Sightings
-from calib.store import Staged, Store, given
+from calib.store import Staged, Step, Store, given
 
 CAMERAS = ("c1", "c2")
 
@@ -94,13 +94,17 @@ def image_stages(dataset: Dataset, store: Store, seed: int) -> ImageStages:
         sheets[camera] = store.stage(
             f"contact sheet {camera}", f"{STAGES}:contact_sheet", folder, asked, corners[camera]
         )
-    intrinsics = {
-        camera: store.stage(
-            f"intrinsics {camera}", f"{STAGES}:intrinsics",
-            corners[camera], given("views", Chosen(images)), board, camera=camera, seed=seed,
-        )
-        for camera, images in dataset.images.items()
-    }  # fmt: skip
+    intrinsics = store.side_by_side(
+        {
+            camera: Step(
+                f"intrinsics {camera}",
+                f"{STAGES}:intrinsics",
+                (corners[camera], given("views", Chosen(images)), board),
+                {"camera": camera, "seed": seed},
+            )
+            for camera, images in dataset.images.items()
+        }
+    )
     rig = _rig(dataset, store, intrinsics)
     stereo = _stereo(dataset, store, corners, board, rig, seed)
     sweep = _sweep(dataset, store, corners, board, intrinsics, stereo)

@@ -23,7 +23,7 @@ from calib.outputs import write_outputs
 from calib.repeats import repeats_told
 from calib.results import Calibration, GazeResult
 from calib.row_stages import gaze_rows, setup_stage
-from calib.store import Staged, Store, given
+from calib.store import Staged, Step, Store, given
 from calib.verdict import all_gates, all_warnings, disagreements
 
 
@@ -125,10 +125,19 @@ def _gaze_chain(
     convex = stage("base/convex", "calib.fit.convex:fit_convex", rows)
     robust = {model: stage(f"{model}/robust", "calib.fit.robust:fit_model",
                            rows, priors, model=model) for model in MODELS}
-    posterior = {model: stage(f"{model}/posterior", "calib.fit.posterior:sample_posterior",
-                              rows, fit, priors, seed=options.seed)
-                 for model, fit in robust.items() if fit.failed is None}
     # fmt: on
+    posterior = store.side_by_side(
+        {
+            model: Step(
+                f"{model}/posterior",
+                "calib.fit.posterior:sample_posterior",
+                (rows, fit, priors),
+                {"seed": options.seed},
+            )
+            for model, fit in robust.items()
+            if fit.failed is None
+        }
+    )
     every = {"base/linear": linear, "base/convex": convex}
     every |= {f"{name}/robust": fit for name, fit in robust.items()}
     every |= {f"{name}/posterior": chain for name, chain in posterior.items()}

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import IO
 
 import calib.fit.posterior
+import calib.store
 
 MANIFEST = """\
 format = 1
@@ -52,10 +53,11 @@ SHORT = {"BLOCK_STEPS": 100, "TAU_MULTIPLE": 3.0, "ESS_GOAL": 50.0, "R_HAT_LIMIT
 """Of `calib.fit.posterior`; no source is changed, so fingerprints are those of full runs."""
 
 
-def shorten(assign: Callable[[object, str, float], object]) -> None:
-    """Cut the chains short; `assign` is setattr or monkeypatch.setattr."""
+def shorten(assign: Callable[[object, str, object], object]) -> None:
+    """Cut the chains short, in this process; `assign` is setattr or monkeypatch.setattr."""
     for name, value in SHORT.items():
         assign(calib.fit.posterior, name, value)
+    assign(calib.store, "processors", lambda: 1)
 
 
 def dataset(folder: Path) -> Path:

@@ -19,11 +19,12 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from calib import store
 from calib.arrays import FloatArray
 from calib.errors import CalibError
 from calib.hdf5 import hdf5_arrays, hdf5_bytes
-from calib.store import SEAL_BYTES, Failure, Store
+from calib.staging import call, step
+from calib.staging.file import DOCUMENT, SEAL_BYTES, Failure, is_intact, pack, read, sealed
+from calib.store import Store
 
 
 @dataclass(frozen=True)
@@ -55,7 +56,7 @@ FINGERPRINT = "f" * 64
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
     file = tmp_path / "stage.h5"
-    store._write(file, FINGERPRINT, compute())
+    file.write_bytes(sealed(FINGERPRINT, pack(compute())))
     return file
 
 
@@ -68,16 +69,16 @@ def same(a: Result, b: Result) -> bool:
 
 
 def test_what_is_written_is_read(path: Path) -> None:
-    assert store._is_intact(path, FINGERPRINT)
-    assert not store._is_intact(path, "0" * 64)
-    assert same(store._read(path, Result), compute())
+    assert is_intact(path, FINGERPRINT)
+    assert not is_intact(path, "0" * 64)
+    assert same(read(path, Result), compute())
     with h5py.File(path) as file:  # HDF5 allows for the seal before it
         assert file["array0000"].shape == (3, 4)
 
 
 def test_failure_is_kept(tmp_path: Path) -> None:
-    store._write(tmp_path / "f.h5", FINGERPRINT, Failure("too few rows"))
-    assert store._read(tmp_path / "f.h5", Result) == Failure("too few rows")
+    (tmp_path / "f.h5").write_bytes(sealed(FINGERPRINT, pack(Failure("too few rows"))))
+    assert read(tmp_path / "f.h5", Result) == Failure("too few rows")
 
 
 @given(position=st.integers(0), bit=st.integers(0, 7))
@@ -89,18 +90,18 @@ def test_every_flipped_bit_is_seen(path: Path, position: int, bit: int) -> None:
     data[position % len(data)] ^= 1 << bit
     other = path.with_name("flipped.h5")
     other.write_bytes(data)
-    assert not store._is_intact(other, FINGERPRINT)
+    assert not is_intact(other, FINGERPRINT)
 
 
 @pytest.mark.parametrize("cut", [0, 1, SEAL_BYTES - 1, SEAL_BYTES, SEAL_BYTES + 100, -1])
 def test_every_truncation_is_seen(path: Path, cut: int) -> None:
     path.write_bytes(path.read_bytes()[:cut])
-    assert not store._is_intact(path, FINGERPRINT)
+    assert not is_intact(path, FINGERPRINT)
 
 
 def test_damaged_stage_is_computed_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(store, "code_fingerprint", lambda _: "code")
-    monkeypatch.setattr(store, "_function", lambda _: compute)
+    monkeypatch.setattr(step, "code_fingerprint", lambda _: "code")
+    monkeypatch.setattr(call, "_function", lambda _: compute)
     first = Store(tmp_path)
     first.stage("a/b", "here:compute")
     file = tmp_path / ".stages" / "a--b.h5"
@@ -125,11 +126,11 @@ def forged(path: Path, document: object, fill: Callable[[h5py.File], None]) -> N
     text = json.dumps([False, document]).encode()
 
     def content(file: h5py.File) -> None:
-        file.create_dataset(store.DOCUMENT, data=np.frombuffer(text, np.uint8))
+        file.create_dataset(DOCUMENT, data=np.frombuffer(text, np.uint8))
         fill(file)
 
     image = hdf5_bytes(content)
-    path.write_bytes(store._seal(FINGERPRINT, image) + image)
+    path.write_bytes(sealed(FINGERPRINT, image))
 
 
 GOOD = {
@@ -222,13 +223,13 @@ def test_forged_file_is_refused(
     path = tmp_path / "forged.h5"
     forged(path, document, fill)
     with pytest.raises(CalibError, match=r"damaged .*; delete it and run again"):
-        store._read(path, Result)
+        read(path, Result)
 
 
 def test_the_forger_could_also_write_a_right_one(tmp_path: Path) -> None:
     # Control: what is refused above is refused for its content, not for how it is written.
     forged(tmp_path / "f.h5", GOOD, floats)
-    assert store._read(tmp_path / "f.h5", Result).inner == Inner("x", 3)
+    assert read(tmp_path / "f.h5", Result).inner == Inner("x", 3)
 
 
 @given(noise=st.binary(max_size=400), at=st.integers(0, 4000))

@@ -20,6 +20,7 @@ from short_chain import dataset
 from calib import store
 from calib.__main__ import main
 from calib.errors import UsageError
+from calib.staging.file import is_intact
 
 LIMITED = """\
 import resource, sys, warnings
@@ -56,7 +57,7 @@ def test_full_disk(limit: int, tmp_path: Path) -> None:
     for path in names:
         content = path.read_bytes()
         fingerprint = content.splitlines()[1].decode()
-        assert store._is_intact(path, fingerprint), path
+        assert is_intact(path, fingerprint), path
     assert all(p.parent.name == ".stages" for p in names)
 
 

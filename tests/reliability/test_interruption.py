@@ -9,19 +9,23 @@ from __future__ import annotations
 import json
 import os
 import signal
+import subprocess
+import sys
 import time
 import tomllib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
+from typing import IO
 
 import h5py
 import numpy as np
 import pytest
 from short_chain import Started, dataset, starter
 
-from calib.store import PARTIAL, SEAL_BYTES
+from calib.staging.file import SEAL_BYTES
+from calib.store import PARTIAL
 
 Start = Callable[..., Started]
 SAME = ("calibration.json", "results.h5")
@@ -166,3 +170,34 @@ def test_second_run_on_the_same_out_is_refused(
         assert first.status() == 0
     for name in SAME:
         assert (tmp_path / name).read_bytes() == (undisturbed.out / name).read_bytes()
+
+
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM], ids=lambda s: s.name)
+def test_interrupted_with_chains_side_by_side(how: signal.Signals, tmp_path: Path) -> None:
+    """As a terminal does and as a system does: the first tells workers too, the second does not."""
+    data, out = dataset(tmp_path / "data"), tmp_path / "out"
+    calib = Path(sys.executable).with_name("calib")
+    with subprocess.Popen(
+        [calib, "calibrate", data, "--out", out],
+        stderr=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        text=True,
+        start_new_session=True,
+    ) as run:
+        err: IO[str] = run.stderr  # type: ignore[assignment] # it is a pipe
+        while (line := err.readline()) and line != "  axis-offset/posterior\n":
+            pass
+        time.sleep(1.5)
+        if how == signal.SIGINT:
+            os.killpg(run.pid, how)
+        else:
+            run.send_signal(how)
+        said = err.read()
+    assert run.returncode == 130, said
+    assert said.splitlines()[-1].startswith("calib: interrupted")
+    assert "Traceback" not in said
+    with pytest.raises(ProcessLookupError):
+        os.killpg(run.pid, 0)
+    assert (out / ".stages" / "axis-offset--robust.h5").exists()
+    assert not list(out.rglob(f"*{PARTIAL}"))
+    assert_whole(out)

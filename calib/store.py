@@ -7,7 +7,7 @@ import os
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ from typing import Any
 from calib.errors import UsageError
 from calib.staging.call import call_stage, result_type
 from calib.staging.file import Failure, is_intact, pack, read, sealed
-from calib.staging.side_by_side import Listener, Request, processors, run_side_by_side
+from calib.staging.side_by_side import Request, processors, run_side_by_side
 from calib.staging.step import Input, Staged, Step, given
 
 __all__ = ["Staged", "Step", "Store", "given", "replacing", "write_bytes"]
@@ -157,14 +157,15 @@ class Store:
         def started(name: str) -> None:
             starts[name] = self._announced(name)
 
-        def finished(name: str, content: bytes) -> None:
-            self._keep(by_name[name], content, starts[name])
-
         requests = [
             Request(s.name, s.target, tuple(map(pack, s.values())), s.settings) for s in steps
         ]
-        listener = Listener(started, self.progress, finished)
-        run_side_by_side(requests, workers=workers, listener=listener)
+        outcomes = run_side_by_side(
+            requests, workers=workers, started=started, progress=self.progress
+        )
+        with closing(outcomes):
+            for name, content in outcomes:
+                self._keep(by_name[name], content, starts[name])
 
     def _announced(self, name: str) -> float:
         self.announce(name)

@@ -51,7 +51,7 @@ import weasyprint
 import calib
 import calib.fit.importance
 import calib.store
-import calib.uncertainty.montecarlo
+import calib.uncertainty.joint
 from calib.dataset.load import load_dataset
 from calib.pipeline import Options, calibrate
 
@@ -70,7 +70,7 @@ _CALLS: tuple[tuple[str, Any, tuple[str, ...]], ...] = (
     ("solvers", emcee.autocorr, ("integrated_time",)),
     ("solvers", calib.fit.importance, ("sample_importance",)),
     ("solvers", arviz_stats.base.array.array_stats, ("psislw",)),
-    ("trials", calib.uncertainty.montecarlo, ("propagate",)),
+    ("trials", calib.uncertainty.joint, ("propagate_together",)),
     ("documents", matplotlib.figure.Figure, ("savefig", "add_subplot", "subplots")),
     ("documents", corner, ("corner",)),
     ("documents", weasyprint.HTML, ("write_pdf",)),

@@ -12,14 +12,14 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from threading import Thread
-from typing import IO, Any, TypeAlias
+from typing import IO, Any, NoReturn, TypeAlias
 
 import calib
 from calib.errors import CalibError
@@ -49,17 +49,8 @@ class Request:
     settings: Mapping[str, Any]
 
 
-@dataclass(frozen=True)
-class Listener:
-    """Told of each stage by name: that it starts, how far it is, its packed outcome."""
-
-    started: Callable[[str], None]
-    progress: Progress
-    finished: Callable[[str, bytes], None]
-
-
-_Order: TypeAlias = Callable[[], None]
-"""What a worker's thread wants the main thread to do."""
+_Order: TypeAlias = Callable[[], tuple[str, bytes] | None]
+"""What a worker's thread wants done: tell the caller something, or give it an outcome."""
 
 
 def processors() -> int:
@@ -67,11 +58,23 @@ def processors() -> int:
     return len(os.sched_getaffinity(0))
 
 
-def run_side_by_side(requests: Sequence[Request], *, workers: int, listener: Listener) -> None:
-    """Compute stages, as many at a time as there are workers, begun in the order given.
+def run_side_by_side(
+    requests: Sequence[Request],
+    *,
+    workers: int,
+    started: Callable[[str], None] = lambda _: None,
+    progress: Progress = lambda *_: None,
+) -> Generator[tuple[str, bytes]]:
+    """Yield name and packed outcome of each stage as it is finished.
 
-    The listener is told in this thread only. If it raises, or Ctrl-C does, the workers are ended;
-    where this process dies, they end at their next word to it.
+    As many are computed at a time as there are workers, begun in the order given. When the caller
+    closes the generator, or Ctrl-C interrupts it, the workers are ended; where this process dies,
+    they end at their next word to it.
+
+    Parameters
+    ----------
+    started, progress
+        Told of each stage, in the caller's thread, that it starts and how far it is.
 
     Raises
     ------
@@ -84,23 +87,23 @@ def run_side_by_side(requests: Sequence[Request], *, workers: int, listener: Lis
     for request in requests:
         waiting.put(request)
     orders: SimpleQueue[_Order] = SimpleQueue()
-    left = {request.name for request in requests}
-
-    def finished(name: str, content: bytes) -> None:
-        left.remove(name)
-        listener.finished(name, content)
-
-    teller = Listener(listener.started, listener.progress, finished)
+    left = len(requests)
     with ExitStack() as stack:
         for _ in range(workers):
-            stack.enter_context(_worker(waiting, orders, teller))
+            stack.enter_context(_worker(waiting, orders, started, progress))
         while left:
-            orders.get()()
+            finished = orders.get()()
+            if finished is not None:
+                left -= 1
+                yield finished
 
 
 @contextmanager
 def _worker(
-    waiting: SimpleQueue[Request], orders: SimpleQueue[_Order], listener: Listener
+    waiting: SimpleQueue[Request],
+    orders: SimpleQueue[_Order],
+    started: Callable[[str], None],
+    progress: Progress,
 ) -> Iterator[None]:
     """Keep a process at work, fed by a thread; it finds this very package and no other."""
     here = str(Path(calib.__file__).parents[1])
@@ -112,7 +115,7 @@ def _worker(
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
     )
-    thread = Thread(target=_feed, args=(process, waiting, orders, listener))
+    thread = Thread(target=_feed, args=(process, waiting, orders, started, progress))
     try:
         thread.start()
         yield
@@ -137,7 +140,8 @@ def _feed(
     process: subprocess.Popen[bytes],
     waiting: SimpleQueue[Request],
     orders: SimpleQueue[_Order],
-    listener: Listener,
+    started: Callable[[str], None],
+    progress: Progress,
 ) -> None:
     """Give a worker one request after another; runs in a thread of its own."""
     requests: IO[bytes] = process.stdin  # type: ignore[assignment] # it is a pipe
@@ -147,18 +151,15 @@ def _feed(
             request = waiting.get_nowait()
         except Empty:
             return
-        orders.put(partial(listener.started, request.name))
+        orders.put(partial(started, request.name))
         with suppress(BrokenPipeError):
             _ask(requests, request)
         while (reply := receive(replies)) is not None and reply[0]["is"] == "progress":
-            orders.put(partial(listener.progress, request.name, *reply[0]["steps"]))
+            orders.put(partial(progress, request.name, *reply[0]["steps"]))
         if reply is None:
             orders.put(partial(_lost, request.name, process.wait()))
             return
-        if reply[0]["is"] == "outcome":
-            orders.put(partial(listener.finished, request.name, reply[1]))
-        else:
-            orders.put(partial(_failed, request.name, reply[0]["is"], reply[1].decode()))
+        orders.put(partial(_ended, request.name, reply[0]["is"], reply[1]))
 
 
 def _ask(stream: IO[bytes], request: Request) -> None:
@@ -171,14 +172,16 @@ def _ask(stream: IO[bytes], request: Request) -> None:
     send(stream, header, b"".join(request.inputs))
 
 
-def _failed(name: str, how: str, told: str) -> None:
-    """Raise what the stage has raised."""
+def _ended(name: str, how: str, content: bytes) -> tuple[str, bytes]:
+    """Return the outcome of a stage, or raise what it has raised."""
     if how == "refusal":
-        raise CalibError(told)
-    raise RuntimeError(f"{name} failed in its process:\n{told}")
+        raise CalibError(content.decode())
+    if how == "defect":
+        raise RuntimeError(f"{name} failed in its process:\n{content.decode()}")
+    return name, content
 
 
-def _lost(name: str, status: int) -> None:
+def _lost(name: str, status: int) -> NoReturn:
     """Say how a worker ended that should not have."""
     if status >= 0:
         raise RuntimeError(f"{name}: its process ended with status {status}")

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import importlib
-import multiprocessing
-from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import closing
 from dataclasses import asdict, dataclass
 from typing import Any
 
 from calib.errors import EstimationError, UsageError
 from calib.fingerprint import code_fingerprint, digest
+from calib.staging.file import Failure, unpack
+from calib.staging.side_by_side import Request, run_side_by_side
 from calib.study.conditions import ADVICE, CONDITIONS
 
 Record = dict[str, Any]
@@ -78,20 +78,23 @@ def perform_all(tasks: Sequence[Task], *, jobs: int, scheduler: str | None) -> I
     return _on_processes(tasks, jobs)
 
 
+def perform_stage(*, task: Mapping[str, Any]) -> Record:
+    """Return the record of a rig whose task comes as its fields."""
+    return perform(Task(**task))
+
+
 def _on_processes(tasks: Sequence[Task], jobs: int) -> Iterator[Record]:
-    # Fresh interpreters: a fork would inherit threads of libraries in the middle of something.
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(jobs, mp_context=context) as pool:
-        futures = [pool.submit(perform, task) for task in tasks]
-        try:
-            for future in as_completed(futures):
-                yield future.result()
-        except BrokenProcessPool as error:
-            raise EstimationError(
-                "a worker process died; finished rigs are kept: run the same command again"
-            ) from error
-        finally:
-            pool.shutdown(wait=False, cancel_futures=True)
+    target = f"{__name__}:{perform_stage.__name__}"
+    requests = [
+        Request(f"{task.condition}, rig {task.number}", target, (), {"task": asdict(task)})
+        for task in tasks
+    ]
+    with closing(run_side_by_side(requests, workers=min(jobs, len(tasks)))) as outcomes:
+        for name, content in outcomes:
+            record = unpack(content, Record)
+            if isinstance(record, Failure):
+                raise EstimationError(f"{name}: {record.reason}")
+            yield record
 
 
 def _on_cluster(tasks: Sequence[Task], address: str) -> Iterator[Record]:

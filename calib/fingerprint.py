@@ -15,8 +15,8 @@ import platform
 import re
 import sys
 from collections.abc import Iterable
+from dataclasses import dataclass
 from functools import cache
-from importlib.util import find_spec
 from pathlib import Path
 
 from calib.mrcal_python import mrcal_identity
@@ -35,22 +35,46 @@ def digest(*parts: object) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
+_ROOT = Path(__file__).parent
+
+
 @cache
 def _source(module: str) -> Path | None:
-    """Return the file of a module of calib, or None if there is no such module."""
-    spec = find_spec(module)
-    return None if spec is None or spec.origin is None else Path(spec.origin)
+    """Return the file of a module of calib, or None if there is no such module.
+
+    Looked for among the files: the import system would run the packages above it.
+    """
+    place = _ROOT.joinpath(*module.split(".")[1:])
+    files = (place / "__init__.py", place.with_suffix(".py"))
+    return next((path for path in files if path.is_file()), None)
+
+
+@dataclass(frozen=True)
+class _Code:
+    """What a module's source imports, anywhere in it, and what it is.
+
+    Parameters
+    ----------
+    modules, packages
+        Modules of calib, and other packages.
+    files
+        SHA-256, hex, of the source and of the templates beside it.
+    """
+
+    modules: frozenset[str]
+    packages: frozenset[str]
+    files: tuple[str, ...]
 
 
 @cache
-def _imports(module: str) -> tuple[frozenset[str], frozenset[str]]:
-    """Return the modules of calib and the packages that a module's source imports, anywhere."""
+def _imports(module: str) -> _Code:
+    """Return what a module's source imports and is; nothing if there is no such module."""
     path = _source(module)
     own: set[str] = set()
     foreign: set[str] = set()
     if path is None:
-        return frozenset(), frozenset()
-    for node in ast.walk(ast.parse(path.read_bytes())):
+        return _Code(frozenset(), frozenset(), ())
+    for node in _statements(ast.parse(path.read_bytes())):
         for name in _imported(node):
             if name.split(".")[0] != PACKAGE:
                 foreign.add(name.split(".")[0])
@@ -58,7 +82,21 @@ def _imports(module: str) -> tuple[frozenset[str], frozenset[str]]:
                 own.add(name)
     # A package's __init__ runs before its modules.
     parents = {name.rsplit(".", 1)[0] for name in own | {module} if "." in name}
-    return frozenset(own | (parents - {module})), frozenset(foreign)
+    files = [path, *sorted(path.parent.glob("templates/*"))]
+    hashes = tuple(hashlib.sha256(f.read_bytes()).hexdigest() for f in files)
+    return _Code(frozenset(own | (parents - {module})), frozenset(foreign), hashes)
+
+
+_BLOCKS = ("body", "orelse", "finalbody", "handlers", "cases")
+"""Where a statement holds others; expressions hold none, and make up nine tenths of a tree."""
+
+
+def _statements(node: ast.AST) -> Iterable[ast.AST]:
+    """Return all statements below `node`, at any depth."""
+    for block in _BLOCKS:
+        for statement in getattr(node, block, ()):
+            yield statement
+            yield from _statements(statement)
 
 
 def _imported(node: ast.AST) -> Iterable[str]:
@@ -72,10 +110,7 @@ def _imported(node: ast.AST) -> Iterable[str]:
 
 @cache
 def _is_module(name: str) -> bool:
-    try:
-        return find_spec(name) is not None
-    except ModuleNotFoundError:
-        return False
+    return _source(name) is not None
 
 
 @cache
@@ -89,9 +124,9 @@ def _closure(module: str) -> tuple[frozenset[str], frozenset[str]]:
         if current in seen:
             continue
         seen.add(current)
-        own, foreign = _imports(current)
-        packages |= foreign
-        waiting.extend(own - seen)
+        code = _imports(current)
+        packages |= code.packages
+        waiting.extend(code.modules - seen)
     return frozenset(seen), frozenset(packages)
 
 
@@ -132,12 +167,7 @@ def _versions(packages: Iterable[str]) -> dict[str, str | None]:
 def code_fingerprint(module: str) -> str:
     """Return the hash of all code that a module's results depend on."""
     modules, packages = _closure(module)
-    sources = {}
-    for name in sorted(modules):
-        path = _source(name)
-        if path is not None:
-            files = [path, *sorted(path.parent.glob("templates/*"))]
-            sources[name] = [hashlib.sha256(f.read_bytes()).hexdigest() for f in files]
+    sources = {name: _imports(name).files for name in sorted(modules) if _source(name)}
     return digest(sources, _versions(packages), platform.python_version())
 
 

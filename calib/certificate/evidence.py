@@ -18,12 +18,12 @@ from calib.observe import ValidationRows
 from calib.uncertainty.certified import (
     CertifiedDepth,
     CheckedDepth,
-    certify_depth,
+    certify_depths,
     check_depth,
     depths_to_certify,
 )
 from calib.uncertainty.conformity import DecisionRule, ToleranceRule
-from calib.uncertainty.lengths import LengthError, length_error, length_limit
+from calib.uncertainty.lengths import Length, LengthError, length_errors, length_limit
 from calib.uncertainty.measurement import Instrument, Reading
 
 
@@ -55,35 +55,34 @@ def gather_evidence(
     depth_rel, rule
         Tolerance on depth relative to it, None without one, and the decision rule.
     seed
-        Of the Monte Carlo trials; each result gets its own.
+        Of the Monte Carlo trials: all depths share theirs, and all lengths.
     """
     low, high = (float(z) for z in calibrated.calibrated_mm)
     tolerance = None if depth_rel is None else ToleranceRule(depth_rel, rule)
     depth_seed, length_seed = seed.spawn(2)
     wanted = depths_to_certify(low, high)
-    certified: list[CertifiedDepth] = []
-    refused: list[NotCertified] = []
-    for z, own in zip(wanted, depth_seed.spawn(len(wanted)), strict=True):
-        try:
-            certified.append(
-                certify_depth(
-                    calibrated.instrument,
-                    _rays(calibrated, rows, z),
-                    np.random.default_rng(own),
-                    calibrated_mm=(low, high),
-                    tolerance=tolerance,
-                )
-            )
-        except EstimationError as error:
-            refused.append(NotCertified(z, str(error)))
-    found = _lengths(calibrated.instrument, rows, validation, lengths, length_seed)
+    found = certify_depths(
+        calibrated.instrument,
+        [_rays(calibrated, rows, z) for z in wanted],
+        np.random.default_rng(depth_seed),
+        calibrated_mm=(low, high),
+        tolerance=tolerance,
+    )
+    refused = [
+        NotCertified(z, str(error))
+        for z, error in zip(wanted, found, strict=True)
+        if isinstance(error, EstimationError)
+    ]
+    lengths_found = _lengths(
+        calibrated.instrument, rows, validation, lengths, np.random.default_rng(length_seed)
+    )
     return Evidence(
-        depths=tuple(certified),
+        depths=tuple(depth for depth in found if isinstance(depth, CertifiedDepth)),
         not_certified=tuple(refused),
         checks=_checks(validation, measured, (low, high), tolerance),
         check_reference=check_reference,
-        lengths=found,
-        length_limit=length_limit(found) if found else None,
+        lengths=lengths_found,
+        length_limit=length_limit(lengths_found) if lengths_found else None,
         tolerance=tolerance,
     )
 
@@ -141,26 +140,25 @@ def _lengths(
     rows: Observations,
     validation: ValidationRows | None,
     lengths: LengthTable | None,
-    seed: SeedSequence,
+    rng: np.random.Generator,
 ) -> tuple[LengthError, ...]:
     if lengths is None:
         return ()
     points = _points(rows, np.arange(len(rows)))
     if validation is not None:
         points |= _points(validation.rows, validation.depth_of)
-    known = [i for i in range(len(lengths)) if np.isfinite(lengths.length_mm[i])]
-    return tuple(
-        length_error(
-            instrument,
-            np.random.default_rng(own),
+    known = [
+        Length(
             name=lengths.ids[i],
             start=points[lengths.start[i]],
             end=points[lengths.end[i]],
             reference_mm=float(lengths.length_mm[i]),
             u_reference_mm=float(lengths.u_length_mm[i]),
         )
-        for i, own in zip(known, seed.spawn(len(known)), strict=True)
-    )
+        for i in range(len(lengths))
+        if np.isfinite(lengths.length_mm[i])
+    ]
+    return length_errors(instrument, known, rng)
 
 
 def _points(rows: Observations, depth_of: IntArray) -> dict[str, Reading]:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib.errors import EstimationError
 from calib.uncertainty.conformity import (
     Conformity,
     ToleranceRule,
@@ -16,10 +17,10 @@ from calib.uncertainty.conformity import (
 )
 from calib.uncertainty.depth import (
     DepthUncertainty,
+    PointUncertainty,
     PositionUncertainty,
-    depth_uncertainty,
     least_certain,
-    position_uncertainty,
+    point_uncertainties,
 )
 from calib.uncertainty.measurement import Instrument, Reading
 
@@ -100,6 +101,50 @@ def depths_to_certify(low_mm: float, high_mm: float) -> tuple[float, ...]:
     return tuple(float(place * step) for place in dict.fromkeys(places.tolist()))
 
 
+def certify_depths(
+    instrument: Instrument,
+    rays: Sequence[Sequence[Reading]],
+    rng: np.random.Generator,
+    *,
+    calibrated_mm: tuple[float, float],
+    tolerance: ToleranceRule | None,
+) -> tuple[CertifiedDepth | EstimationError, ...]:
+    """Return what a certificate says of depths, each at the least certain of its rays.
+
+    In place of a depth so uncertain that it has no upper limit stands the error.
+
+    Parameters
+    ----------
+    rays
+        For each depth, readings of points there over the field of view.
+    calibrated_mm
+        Least and greatest depth of the calibration.
+    tolerance
+        None where the manifest states none.
+    """
+    readings = [least_certain(instrument, some) for some in rays]
+    return tuple(
+        found
+        if isinstance(found, EstimationError)
+        else _certified(found, calibrated_mm=calibrated_mm, tolerance=tolerance)
+        for found in point_uncertainties(instrument, readings, rng)
+    )
+
+
+def _certified(
+    point: PointUncertainty, *, calibrated_mm: tuple[float, float], tolerance: ToleranceRule | None
+) -> CertifiedDepth:
+    conformity = None
+    if tolerance is not None:
+        conformity = predicted_conformity(point.depth, point.draws, tolerance=tolerance)
+    return CertifiedDepth(
+        result=point.depth,
+        position=point.position,
+        conformity=conformity,
+        extrapolated=_outside(point.depth.z_mm, calibrated_mm),
+    )
+
+
 def certify_depth(
     instrument: Instrument,
     rays: Sequence[Reading],
@@ -108,33 +153,19 @@ def certify_depth(
     calibrated_mm: tuple[float, float],
     tolerance: ToleranceRule | None,
 ) -> CertifiedDepth:
-    """Return what a certificate says of one depth, at the least certain of `rays`.
-
-    Parameters
-    ----------
-    rays
-        Readings of points at this depth over the field of view.
-    calibrated_mm
-        Least and greatest depth of the calibration.
-    tolerance
-        None where the manifest states none.
+    """Return what a certificate says of one depth; see `certify_depths`.
 
     Raises
     ------
     EstimationError
         If the depth is so uncertain that it has no upper limit.
     """
-    reading = least_certain(instrument, rays)
-    result, draws = depth_uncertainty(instrument, reading, rng)
-    conformity = None
-    if tolerance is not None:
-        conformity = predicted_conformity(result, draws, tolerance=tolerance)
-    return CertifiedDepth(
-        result=result,
-        position=position_uncertainty(instrument, reading, rng),
-        conformity=conformity,
-        extrapolated=_outside(result.z_mm, calibrated_mm),
+    (found,) = certify_depths(
+        instrument, [rays], rng, calibrated_mm=calibrated_mm, tolerance=tolerance
     )
+    if isinstance(found, EstimationError):
+        raise found
+    return found
 
 
 def check_depth(

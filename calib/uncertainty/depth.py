@@ -7,10 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.arrays import FloatArray
+from calib.arrays import BoolArray, FloatArray
+from calib.errors import EstimationError
 from calib.geometry.plane import gaze_at
 from calib.uncertainty.budget import COVERAGE, Budget
-from calib.uncertainty.distributions import PARTS, draw
+from calib.uncertainty.joint import Asked, FixedNumber, Quantity, propagate_together, raise_first
 from calib.uncertainty.measurement import Instrument, Reading
 from calib.uncertainty.model import MeasurementModel
 from calib.uncertainty.montecarlo import (
@@ -18,8 +19,8 @@ from calib.uncertainty.montecarlo import (
     Draws,
     Interval,
     MonteCarlo,
+    Results,
     Validation,
-    propagate,
     validate,
 )
 
@@ -131,9 +132,29 @@ def reading_at(theta: FloatArray, *, z_mm: float, x1c: float, y1c: float = 0.0) 
     return Reading(x1c, y1c, float(gaze.alpha2[0]))
 
 
+@dataclass(frozen=True)
+class PointUncertainty:
+    """Depth and position of one point, from the same trials.
+
+    Parameters
+    ----------
+    depth, position
+        With their uncertainties.
+    draws
+        Of the depth, mm, for further questions.
+    """
+
+    depth: DepthUncertainty
+    draws: Draws
+    position: PositionUncertainty
+
+
 def depth_budget(instrument: Instrument, reading: Reading) -> Budget:
     """Return the budget of a measured depth."""
-    model = MeasurementModel(instrument, [reading])
+    return _depth_budget(MeasurementModel(instrument, [reading]))
+
+
+def _depth_budget(model: MeasurementModel) -> Budget:
     return model.budget(
         quantity="depth z",
         estimate=float(model.estimate[0, DEPTH]),
@@ -147,23 +168,6 @@ def least_certain(instrument: Instrument, readings: Sequence[Reading]) -> Readin
     return readings[int(np.argmax(u))]
 
 
-def depth_draws(
-    instrument: Instrument,
-    reading: Reading,
-    rng: np.random.Generator,
-    *,
-    digits: int = 2,
-    linear: Interval | None = None,
-) -> Draws:
-    """Return draws of a measured depth, mm (JCGM 101, 7.9); see `montecarlo.propagate`."""
-    model = MeasurementModel(instrument, [reading])
-
-    def measure(inputs: FloatArray) -> FloatArray:
-        return model.positions(inputs)[:, 0, DEPTH]
-
-    return propagate(measure, model.blocks, rng, digits=digits, linear=linear)
-
-
 def depth_uncertainty(
     instrument: Instrument, reading: Reading, rng: np.random.Generator, *, digits: int = 2
 ) -> tuple[DepthUncertainty, Draws]:
@@ -174,38 +178,14 @@ def depth_uncertainty(
     EstimationError
         If the depth is so uncertain that it has no upper limit.
     """
-    table = depth_budget(instrument, reading)
-    factor = NORMAL_FACTOR if table.coverage_factor is None else table.coverage_factor
-    half = factor * table.standard_uncertainty
-    linear = Interval(table.estimate - half, table.estimate + half)
-    # Without a coverage factor the linear interval is not stated: no trials to decide a close call.
-    judged = None if table.coverage_factor is None else linear
-    draws = depth_draws(instrument, reading, rng, digits=digits, linear=judged)
-    monte_carlo = draws.summary()
-    verdict = validate(
-        monte_carlo,
-        estimate=table.estimate,
-        standard_uncertainty=table.standard_uncertainty,
-        coverage_factor=factor,
-    )
-    return DepthUncertainty(
-        x1c=reading.x1c,
-        y1c=reading.y1c,
-        alpha2_rad=reading.alpha2_rad,
-        z_mm=table.estimate,
-        budget=table,
-        monte_carlo=monte_carlo,
-        validation=verdict,
-        linear_valid=verdict.validated and table.coverage_factor is not None,
-    ), draws
+    model = MeasurementModel(instrument, [reading])
+    depth = _AskedDepth.of(model, reading, digits=digits)
+    raise_first(propagate_together(instrument, [Asked(model, (depth.quantity,))], rng))
+    return depth.answer()
 
 
 def position_uncertainty(
-    instrument: Instrument,
-    reading: Reading,
-    rng: np.random.Generator,
-    *,
-    trials: int = POSITION_TRIALS,
+    instrument: Instrument, reading: Reading, rng: np.random.Generator
 ) -> PositionUncertainty:
     """Return a measured position with its covariance and 95 % ellipsoid (JCGM 102, 7.7.2).
 
@@ -213,31 +193,138 @@ def position_uncertainty(
     ask for: it holds 95 % of them even where the linear covariance is too small.
     """
     model = MeasurementModel(instrument, [reading])
-    jacobian = model.jacobian[0]
-    covariance = jacobian @ model.covariance @ jacobian.T
-    drawn = np.vstack(
-        [
-            np.hstack([draw(block, rng, trials // PARTS, part=part) for block in model.blocks])
-            for part in range(PARTS)
-        ]
+    position = _AskedPosition.of(model)
+    raise_first(propagate_together(instrument, [Asked(model, (position.quantity,))], rng))
+    return position.answer()
+
+
+def point_uncertainties(
+    instrument: Instrument, readings: Sequence[Reading], rng: np.random.Generator
+) -> tuple[PointUncertainty | EstimationError, ...]:
+    """Return depth and position of points, each measured by itself, all from the same trials.
+
+    Each has the results that `depth_uncertainty` and `position_uncertainty` give with an equal
+    generator. In place of a depth so uncertain that it has no upper limit stands the error.
+    """
+    models = [MeasurementModel(instrument, [reading]) for reading in readings]
+    depths = [_AskedDepth.of(m, r, digits=2) for m, r in zip(models, readings, strict=True)]
+    positions = [_AskedPosition.of(m) for m in models]
+    asked = [
+        Asked(m, (d.quantity, p.quantity))
+        for m, d, p in zip(models, depths, positions, strict=True)
+    ]
+    errors = propagate_together(instrument, asked, rng)
+    return tuple(
+        PointUncertainty(*d.answer(), p.answer()) if error is None else error
+        for d, p, error in zip(depths, positions, errors, strict=True)
     )
-    values, vectors = np.linalg.eigh(covariance)
-    order = np.argsort(values)[::-1]
-    values, vectors = np.maximum(values[order], 0), vectors[:, order]
-    solid = values > FLAT_AXIS * values[0]
-    points = model.positions(drawn)[:, 0]
-    # A point at infinity lies outside every ellipsoid.
-    distance = np.full(len(points), np.inf)
-    finite = np.isfinite(points).all(axis=1)
-    away = (points[finite] - model.estimate[0]) @ vectors[:, solid]
-    distance[finite] = np.linalg.norm(away / np.sqrt(values[solid]), axis=1)
-    distance.sort()
-    factor = float(distance[int(np.ceil(COVERAGE * len(distance))) - 1])
-    return PositionUncertainty(
-        position_mm=model.estimate[0],
-        covariance_mm2=covariance,
-        coverage_factor=factor,
-        semi_axes_mm=factor * np.sqrt(np.where(solid, values, 0)),
-        directions=vectors,
-        trials=len(distance),
-    )
+
+
+@dataclass(frozen=True)
+class _AskedDepth:
+    """The linear result of a depth, and the trials that judge it."""
+
+    reading: Reading
+    budget: Budget
+    results: Results
+
+    @classmethod
+    def of(cls, model: MeasurementModel, reading: Reading, *, digits: int) -> _AskedDepth:
+        table = _depth_budget(model)
+        # Without a coverage factor the linear interval is not stated: no trials to decide a close
+        # call.
+        linear = None
+        if table.coverage_factor is not None:
+            half = table.coverage_factor * table.standard_uncertainty
+            linear = Interval(table.estimate - half, table.estimate + half)
+        return cls(reading, table, Results(model.blocks, digits=digits, linear=linear))
+
+    @property
+    def quantity(self) -> Quantity:
+        return Quantity(lambda points: points[0, DEPTH], self.results)
+
+    def answer(self) -> tuple[DepthUncertainty, Draws]:
+        table, draws = self.budget, self.results.draws()
+        factor = table.coverage_factor
+        monte_carlo = draws.summary()
+        verdict = validate(
+            monte_carlo,
+            estimate=table.estimate,
+            standard_uncertainty=table.standard_uncertainty,
+            coverage_factor=NORMAL_FACTOR if factor is None else factor,
+        )
+        return DepthUncertainty(
+            x1c=self.reading.x1c,
+            y1c=self.reading.y1c,
+            alpha2_rad=self.reading.alpha2_rad,
+            z_mm=table.estimate,
+            budget=table,
+            monte_carlo=monte_carlo,
+            validation=verdict,
+            linear_valid=verdict.validated and factor is not None,
+        ), draws
+
+
+@dataclass(frozen=True)
+class _AskedPosition:
+    """The linear covariance of a position, and the trials that give its ellipsoid a size.
+
+    Parameters
+    ----------
+    estimate
+        mm, shape (3,).
+    covariance
+        mm², shape (3, 3), with eigenvalues, largest first, and eigenvectors as columns.
+    """
+
+    estimate: FloatArray
+    covariance: FloatArray
+    eigenvalues: FloatArray
+    vectors: FloatArray
+    distances: FixedNumber
+
+    @classmethod
+    def of(cls, model: MeasurementModel) -> _AskedPosition:
+        jacobian = model.jacobian[0]
+        covariance = jacobian @ model.covariance @ jacobian.T
+        values, vectors = np.linalg.eigh(covariance)
+        largest_first = slice(None, None, -1)
+        return cls(
+            estimate=model.estimate[0],
+            covariance=covariance,
+            eigenvalues=np.maximum(values[largest_first], 0),
+            vectors=vectors[:, largest_first],
+            distances=FixedNumber(POSITION_TRIALS),
+        )
+
+    @property
+    def _solid(self) -> BoolArray:
+        solid: BoolArray = self.eigenvalues > FLAT_AXIS * self.eigenvalues[0]
+        return solid
+
+    @property
+    def quantity(self) -> Quantity:
+        """The square of the distance from the estimate, in standard deviations."""
+        solid = self._solid
+        whiten = self.vectors[:, solid].T / np.sqrt(self.eigenvalues[solid])[:, None]
+
+        def distance(points: FloatArray) -> FloatArray:
+            with np.errstate(invalid="ignore"):
+                square = ((whiten @ (points[0] - self.estimate[:, None])) ** 2).sum(axis=0)
+            # A point at infinity lies outside every ellipsoid.
+            return np.where(np.isfinite(points[0, DEPTH]), square, np.inf)
+
+        return Quantity(distance, self.distances)
+
+    def answer(self) -> PositionUncertainty:
+        squares = self.distances.values()
+        inside = int(np.ceil(COVERAGE * len(squares)))
+        factor = float(np.sqrt(np.partition(squares, inside - 1)[inside - 1]))
+        return PositionUncertainty(
+            position_mm=self.estimate,
+            covariance_mm2=self.covariance,
+            coverage_factor=factor,
+            semi_axes_mm=factor * np.sqrt(np.where(self._solid, self.eigenvalues, 0)),
+            directions=self.vectors,
+            trials=len(squares),
+        )

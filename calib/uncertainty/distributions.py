@@ -74,6 +74,29 @@ def factor(covariance: FloatArray) -> FloatArray:
     return root
 
 
+NEGLIGIBLE = 1e-12
+"""Share of a variance that is taken as none: what rounding leaves is far below it."""
+
+
+def triangular_factor(covariance: FloatArray) -> FloatArray:
+    """Return lower triangular F, shape (k, k), with F Fᵀ = covariance, which may be semi-definite.
+
+    Its leading rows are the factor of the leading block, and of what later inputs owe to earlier
+    ones nothing hangs on rounding: an input that is no more uncertain once the earlier are known
+    has a column of zeros.
+    """
+    scale = np.sqrt(np.maximum(np.diag(covariance), 0))
+    safe = np.where(scale > 0, scale, 1.0)
+    rest = covariance / np.outer(safe, safe)
+    root = np.zeros_like(rest)
+    for i in range(len(rest)):
+        if rest[i, i] > NEGLIGIBLE:
+            root[i:, i] = rest[i:, i] / np.sqrt(rest[i, i])
+            rest = rest - np.outer(root[:, i], root[:, i])
+    found: FloatArray = scale[:, None] * root
+    return found
+
+
 def draw(inputs: Inputs, rng: np.random.Generator, count: int, *, part: int = 0) -> FloatArray:
     """Return draws of inputs, shape (count, k); given draws come from `part` modulo `PARTS`."""
     match inputs:

@@ -17,9 +17,13 @@ import numpy as np
 
 from calib.arrays import FloatArray
 from calib.uncertainty.budget import Budget
+from calib.uncertainty.joint import Asked, Quantity, propagate_together, raise_first
 from calib.uncertainty.measurement import Instrument, Reading
 from calib.uncertainty.model import MeasurementModel
-from calib.uncertainty.montecarlo import NORMAL_FACTOR, Draws, propagate
+from calib.uncertainty.montecarlo import NORMAL_FACTOR, Draws, Interval, Results
+
+TOGETHER = 10
+"""Lengths that share trials: results of each, 24 MB at most, are held until all have settled."""
 
 
 @dataclass(frozen=True)
@@ -76,18 +80,25 @@ class LengthLimit:
     count: int
 
 
-def _length_model(
-    instrument: Instrument, start: Reading, end: Reading
-) -> tuple[MeasurementModel, float, FloatArray]:
-    """Return the model of both points, their distance, mm, and its sensitivities, shape (K,)."""
-    model = MeasurementModel(instrument, [start, end])
-    first, second = model.estimate
-    length = float(np.linalg.norm(second - first))
-    if length == 0:
-        raise ValueError("a length needs two different points")
-    direction = (second - first) / length
-    jacobian = model.jacobian
-    return model, length, direction @ (jacobian[1] - jacobian[0])
+@dataclass(frozen=True)
+class Length:
+    """A length to be measured between two points, and its reference.
+
+    Parameters
+    ----------
+    name
+        Of the length.
+    start, end
+        Readings of its ends.
+    reference_mm, u_reference_mm
+        Reference length with its standard uncertainty, normal.
+    """
+
+    name: str
+    start: Reading
+    end: Reading
+    reference_mm: float
+    u_reference_mm: float
 
 
 def length_budget(instrument: Instrument, start: Reading, end: Reading) -> Budget:
@@ -98,23 +109,79 @@ def length_budget(instrument: Instrument, start: Reading, end: Reading) -> Budge
     ValueError
         If the two points coincide.
     """
-    model, length, sensitivity = _length_model(instrument, start, end)
+    return _length_budget(MeasurementModel(instrument, [start, end]))
+
+
+def _length_budget(model: MeasurementModel) -> Budget:
+    first, second = model.estimate
+    length = float(np.linalg.norm(second - first))
+    if length == 0:
+        raise ValueError("a length needs two different points")
+    direction = (second - first) / length
+    jacobian = model.jacobian
+    sensitivity = direction @ (jacobian[1] - jacobian[0])
     return model.budget(quantity="length", estimate=length, sensitivity=sensitivity)
+
+
+def _between(points: FloatArray) -> FloatArray:
+    """Return distances of two points, mm, shape (t,), infinite where one of them is."""
+    with np.errstate(invalid="ignore"):
+        length = np.sqrt(((points[1] - points[0]) ** 2).sum(axis=0))
+    return np.where(np.isfinite(length), length, np.inf)
 
 
 def length_draws(
     instrument: Instrument, start: Reading, end: Reading, rng: np.random.Generator
 ) -> Draws:
     """Return draws of the distance between two measured points, mm."""
-    model = MeasurementModel(instrument, [start, end])
+    return _draws(instrument, [MeasurementModel(instrument, [start, end])], rng)[0]
 
-    def measure(inputs: FloatArray) -> FloatArray:
-        points = model.positions(inputs)
-        with np.errstate(invalid="ignore"):
-            length = np.linalg.norm(points[:, 1] - points[:, 0], axis=1)
-        return np.where(np.isfinite(length), length, np.inf)
 
-    return propagate(measure, model.blocks, rng)
+def _draws(
+    instrument: Instrument, models: Sequence[MeasurementModel], rng: np.random.Generator
+) -> list[Draws]:
+    """Return draws of the distances between the two points of each model, mm."""
+    results = [Results(model.blocks) for model in models]
+    asked = [
+        Asked(model, (Quantity(_between, own),)) for model, own in zip(models, results, strict=True)
+    ]
+    raise_first(propagate_together(instrument, asked, rng))
+    return [own.draws() for own in results]
+
+
+def length_errors(
+    instrument: Instrument, lengths: Sequence[Length], rng: np.random.Generator
+) -> tuple[LengthError, ...]:
+    """Return the errors of measured lengths against their references.
+
+    Raises
+    ------
+    EstimationError
+        If a length is so uncertain that it has no upper limit.
+    """
+    found: list[LengthError] = []
+    for first in range(0, len(lengths), TOGETHER):
+        some = lengths[first : first + TOGETHER]
+        models = [MeasurementModel(instrument, [length.start, length.end]) for length in some]
+        tables = [_length_budget(model) for model in models]
+        draws = _draws(instrument, models, rng)
+        found += [
+            _error(length, table, own.summary().symmetric)
+            for length, table, own in zip(some, tables, draws, strict=True)
+        ]
+    return tuple(found)
+
+
+def _error(length: Length, table: Budget, interval: Interval) -> LengthError:
+    half = max(table.estimate - interval.low, interval.high - table.estimate)
+    u_reference = length.u_reference_mm
+    return LengthError(
+        name=length.name,
+        measured_mm=table.estimate,
+        reference_mm=length.reference_mm,
+        standard_uncertainty_mm=float(np.hypot(table.standard_uncertainty, u_reference)),
+        expanded_uncertainty_mm=float(np.hypot(half, NORMAL_FACTOR * u_reference)),
+    )
 
 
 def length_error(
@@ -127,17 +194,11 @@ def length_error(
     reference_mm: float,
     u_reference_mm: float,
 ) -> LengthError:
-    """Return the error of a measured length against its reference, u_reference_mm normal."""
-    table = length_budget(instrument, start, end)
-    interval = length_draws(instrument, start, end, rng).summary().symmetric
-    half = max(table.estimate - interval.low, interval.high - table.estimate)
-    return LengthError(
-        name=name,
-        measured_mm=table.estimate,
-        reference_mm=reference_mm,
-        standard_uncertainty_mm=float(np.hypot(table.standard_uncertainty, u_reference_mm)),
-        expanded_uncertainty_mm=float(np.hypot(half, NORMAL_FACTOR * u_reference_mm)),
+    """Return the error of one measured length; see `length_errors`."""
+    (found,) = length_errors(
+        instrument, [Length(name, start, end, reference_mm, u_reference_mm)], rng
     )
+    return found
 
 
 def length_limit(errors: Sequence[LengthError]) -> LengthLimit:

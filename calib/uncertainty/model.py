@@ -10,8 +10,9 @@ source of shared errors has one line, its effects by both ways added with their 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -20,13 +21,7 @@ from calib.geometry.closure import depth_jacobian
 from calib.geometry.parameters import INDEX, PARAMETERS, embed
 from calib.geometry.plane import OBSERVABLE, Gaze
 from calib.uncertainty.budget import Budget, InputQuantity, budget
-from calib.uncertainty.distributions import (
-    GivenInputs,
-    Inputs,
-    NormalInputs,
-    RectangularInputs,
-    StudentInputs,
-)
+from calib.uncertainty.distributions import Inputs, NormalInputs, RectangularInputs
 from calib.uncertainty.measurement import (
     PARAMETERS_LABEL,
     READING_NAMES,
@@ -35,7 +30,8 @@ from calib.uncertainty.measurement import (
     Reading,
     ReadingSpread,
 )
-from calib.uncertainty.position import READINGS, positions
+from calib.uncertainty.position import READINGS, in_front, positions
+from calib.uncertainty.trials import ReadingErrors, Trials, own_inputs, reading_errors
 
 _UNITS = ("1", "1", "rad", "rad")
 
@@ -87,29 +83,36 @@ class MeasurementModel:
         self._own = tuple(_own_errors(instrument.reading, len(readings)))
 
     @property
+    def readings(self) -> int:
+        """Number of readings, those included whose depth is borrowed."""
+        return len(self._nominal)
+
+    @property
     def estimate(self) -> FloatArray:
         """Positions at the best estimates, mm, shape (n, 3)."""
-        points: FloatArray = self._points(self._instrument.theta, self._nominal.T[:, None])[0]
-        return points
+        k, m = self._by_shared.shape
+        best = np.zeros((1, k + m + len(self._own)))
+        best[0, :k] = self._instrument.parameters.values
+        found: FloatArray = self.positions(best)[0]
+        return found
 
-    def _points(self, theta: FloatArray, values: FloatArray) -> FloatArray:
-        """Return positions, mm, shape (t, n, 3).
+    def _points(self, depth_of: Callable[[Gaze], FloatArray], values: FloatArray) -> FloatArray:
+        """Return positions, mm, shape (n, 3, t).
 
         Parameters
         ----------
-        theta
-            Shape (COUNT,), or (t, COUNT).
+        depth_of
+            From t gazes to depths, mm, shape (t,).
         values
-            x1c, y1c, alpha2 and gaze residual, shape (4, t, readings).
+            x1c, y1c, alpha2 and gaze residual, shape (readings, 4, t).
         """
-        needed = sorted(set(self._depth_of))
-        z = {j: positions(theta, Gaze(*values[:, :, j]))[:, 2] for j in needed}
+        z = {lender: depth_of(Gaze(*values[lender])) for lender in set(self._depth_of)}
+        points = np.empty((self._count, 3, values.shape[2]))
         with np.errstate(invalid="ignore"):
-            found = [
-                np.stack([values[0, :, i] * z[j], values[1, :, i] * z[j], z[j]], axis=1)
-                for i, j in enumerate(self._depth_of)
-            ]
-        return np.stack(found, axis=1)
+            for i, lender in enumerate(self._depth_of):
+                points[i, 2] = z[lender]
+                np.multiply(values[i, :2], z[lender], out=points[i, :2])
+        return points
 
     @property
     def covariance(self) -> FloatArray:
@@ -230,7 +233,7 @@ class MeasurementModel:
     def blocks(self) -> tuple[Inputs, ...]:
         """The inputs as blocks for Monte Carlo; their columns are those of `positions`."""
         m = len(self._shared_names)
-        blocks: list[Inputs] = [_own_block(self._instrument)]
+        blocks = [own_inputs(self._instrument)]
         if m:
             blocks.append(NormalInputs(np.zeros(m), np.eye(m)))
         for own in self._own:
@@ -245,11 +248,24 @@ class MeasurementModel:
         """Return positions, mm, shape (t, n, 3), for draws of `blocks`, shape (t, K)."""
         k, m = self._by_shared.shape
         shared = draws[:, k : k + m]
-        free = draws[:, :k] + shared @ self._by_shared.T
-        values = self._nominal.T[:, None] + np.einsum("nqm,tm->qtn", self._loadings, shared)
+        theta = embed(draws[:, :k] + shared @ self._by_shared.T, self._instrument.parameters.names)
+        values = self._nominal[:, :, None] + np.einsum("nqm,tm->nqt", self._loadings, shared)
         for i, own in enumerate(self._own, start=k + m):
-            values[own.quantity, :, own.reading] += draws[:, i]
-        return self._points(embed(free, self._instrument.parameters.names), values)
+            values[own.reading, own.quantity] += draws[:, i]
+        return self._points(lambda gaze: positions(theta, gaze)[:, 2], values).transpose(2, 0, 1)
+
+    @cached_property
+    def _errors(self) -> ReadingErrors:
+        return reading_errors(self._instrument, self._loadings)
+
+    def positions_in(self, trials: Trials) -> FloatArray:
+        """Return positions, mm, shape (n, 3, t), for trials of the instrument.
+
+        They have the joint distribution of `positions` for draws of `blocks`.
+        """
+        errors = self._errors(trials).reshape((*self._nominal.shape, -1))
+        values = self._nominal[:, :, None] + errors
+        return self._points(lambda gaze: in_front(trials.planes.depth(gaze)), values)
 
 
 def _with_lenders(points: Sequence[Reading]) -> tuple[list[Reading], tuple[int, ...]]:
@@ -290,13 +306,3 @@ def _parameter_distribution(p: ParameterKnowledge) -> str:
         return "posterior"
     freedom = p.degrees_of_freedom
     return "Student t" if freedom is not None and math.isfinite(freedom) else "normal"
-
-
-def _own_block(instrument: Instrument) -> Inputs:
-    """Return what rows and priors leave uncertain of the parameters."""
-    p, own = instrument.parameters, instrument.own_draws
-    if own is not None:
-        return GivenInputs(own)
-    if p.degrees_of_freedom is not None and math.isfinite(p.degrees_of_freedom):
-        return StudentInputs(p.values, instrument.own_covariance, p.degrees_of_freedom)
-    return NormalInputs(p.values, instrument.own_covariance)

@@ -136,6 +136,70 @@ def numerical_tolerance(standard_uncertainty: float, *, digits: int) -> float:
     return float(0.5 * 10.0 ** (exponent - digits + 1))
 
 
+class Results:
+    """Results of one quantity, block by block, until their summary is numerically stable (7.9.4).
+
+    Parameters
+    ----------
+    inputs
+        The independent blocks of inputs that the results come from; block i of results draws from
+        part i of given draws.
+    digits
+        Significant digits of the uncertainty that are to be right.
+    linear
+        An interval to be judged by clause 8; trials go on until the verdict is clear.
+    maximum_trials
+        A bound; beyond it the summary says that it is not stable.
+    """
+
+    def __init__(
+        self,
+        inputs: Sequence[Inputs],
+        *,
+        digits: int = 2,
+        linear: Interval | None = None,
+        maximum_trials: int = MAXIMUM_TRIALS,
+    ) -> None:
+        given = any(isinstance(block, GivenInputs) for block in inputs)
+        self._parts = PARTS if given else 1
+        self._finite_std = not any(
+            isinstance(block, StudentInputs) and block.degrees_of_freedom <= 2 for block in inputs
+        )
+        self._digits, self._linear = digits, linear
+        self._fewest = max(MINIMUM_BLOCKS, 2 * PARTS if given else 0)
+        self._most = max(maximum_trials // BLOCK_TRIALS, self._fewest)
+        self._blocks: list[FloatArray] = []
+        self._ledger: list[tuple[float, float, float, float]] = []
+
+    def add(self, values: FloatArray) -> None:
+        """Take the results of one more block, shape (BLOCK_TRIALS,).
+
+        Raises
+        ------
+        EstimationError
+            If so many have no finite result that the interval has no end.
+        """
+        ordered = np.sort(values)
+        self._blocks.append(ordered)
+        self._ledger.append(_statistics(ordered, finite_std=self._finite_std))
+
+    @property
+    def settled(self) -> bool:
+        """Whether no more trials are needed, or allowed."""
+        count = len(self._blocks)
+        if count < self._fewest:
+            return False
+        return count >= self._most or self._numerics.settled(self._linear)
+
+    @property
+    def _numerics(self) -> _Numerics:
+        return _Numerics.of(self._ledger, self._parts, self._digits)
+
+    def draws(self) -> Draws:
+        """Return all results so far."""
+        return Draws(np.sort(np.concatenate(self._blocks)), self._numerics, self._finite_std)
+
+
 def propagate(
     measure: Measure,
     inputs: Sequence[Inputs],
@@ -156,35 +220,21 @@ def propagate(
         Mutually independent blocks.
     rng
         Equal generators give equal results.
-    digits
-        Significant digits of the uncertainty that are to be right.
-    linear
-        An interval to be judged by clause 8; trials go on until the verdict is clear.
-    maximum_trials
-        A bound; beyond it the result says that it is not stable.
+    digits, linear, maximum_trials
+        As in `Results`.
 
     Raises
     ------
     EstimationError
         If so many draws have no finite result that the interval has no end.
     """
-    given = any(isinstance(block, GivenInputs) for block in inputs)
-    parts = PARTS if given else 1
-    finite_std = not any(
-        isinstance(block, StudentInputs) and block.degrees_of_freedom <= 2 for block in inputs
-    )
-    blocks: list[FloatArray] = []
-    ledger: list[tuple[float, float, float, float]] = []
-    fewest = max(MINIMUM_BLOCKS, 2 * parts if given else 0)
-    for number in range(max(maximum_trials // BLOCK_TRIALS, fewest)):
+    results = Results(inputs, digits=digits, linear=linear, maximum_trials=maximum_trials)
+    number = 0
+    while not results.settled:
         drawn = [draw(block, rng, BLOCK_TRIALS, part=number) for block in inputs]
-        values = np.sort(measure(np.hstack(drawn)))
-        blocks.append(values)
-        ledger.append(_statistics(values, finite_std=finite_std))
-        if number + 1 >= fewest and _Numerics.of(ledger, parts, digits).settled(linear):
-            break
-    sample = np.sort(np.concatenate(blocks))
-    return Draws(sample, _Numerics.of(ledger, parts, digits), finite_std)
+        results.add(measure(np.hstack(drawn)))
+        number += 1
+    return results.draws()
 
 
 def _statistics(values: FloatArray, *, finite_std: bool) -> tuple[float, float, float, float]:

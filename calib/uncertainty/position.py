@@ -37,14 +37,22 @@ class PositionJacobian:
     by_reading: FloatArray
 
 
-def positions(theta: FloatArray, gaze: Gaze) -> FloatArray:
-    """Return positions, mm, shape (n, 3); `theta` of shape (COUNT,) or one a gaze, (n, COUNT).
+def in_front(z: FloatArray) -> FloatArray:
+    """Return depths, mm, with infinity for those that are not in front of C1.
 
-    Where the ray does not meet the plane in front of C1 the point lies, as far as the readings can
-    tell, beyond any distance: the position is infinite.
+    Where the ray does not meet the plane there the point lies, as far as the readings can tell,
+    beyond any distance.
     """
-    z = depth(theta, gaze)
-    z = np.where(z > 0, z, np.inf)
+    depths: FloatArray = np.where(z > 0, z, np.inf)
+    return depths
+
+
+def positions(theta: FloatArray, gaze: Gaze) -> FloatArray:
+    """Return positions, mm, shape (n, 3), with depths as of `in_front`.
+
+    `theta` is of shape (COUNT,), or one for each gaze, (n, COUNT).
+    """
+    z = in_front(depth(theta, gaze))
     with np.errstate(invalid="ignore"):
         return np.stack([gaze.x1c * z, gaze.y1c * z, z], axis=-1)
 

@@ -13,7 +13,7 @@ from calib.geometry.plane import Gaze, drawn_planes
 from calib.uncertainty.distributions import factor
 from calib.uncertainty.measurement import PARAMETERS_LABEL, READING_NAMES, Instrument
 from calib.uncertainty.montecarlo import NORMAL_FACTOR, numerical_tolerance
-from calib.uncertainty.position import READINGS, position_jacobian
+from calib.uncertainty.position import READINGS, in_front, position_jacobian
 
 DRAWS = 16_000
 """Trials a reading: the ends of a 95 % interval are then known to 2 % of u."""
@@ -119,8 +119,7 @@ def depth_draws(
     planes = drawn_planes(thetas)
     for i in range(n):
         values = nominal[i] + errors + shared @ loadings[i].T
-        z = planes.depth(Gaze(*values.T))
-        yield np.where(z > 0, z, np.inf)
+        yield in_front(planes.depth(Gaze(*values.T)))
 
 
 def _draws(

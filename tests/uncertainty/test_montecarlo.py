@@ -19,6 +19,7 @@ from calib.uncertainty.distributions import (
     StudentInputs,
     draw,
     factor,
+    triangular_factor,
 )
 from calib.uncertainty.montecarlo import (
     BLOCK_TRIALS,
@@ -194,6 +195,24 @@ def test_covariance_factor_of_a_semidefinite_matrix_with_unlike_units() -> None:
     covariance = root @ root.T
     found = factor(covariance)
     np.testing.assert_allclose(found @ found.T, covariance, rtol=1e-9)
+
+
+def test_triangular_factor_of_semidefinite_matrices() -> None:
+    rng = np.random.default_rng(18)
+    root = rng.standard_normal((6, 3)) * np.array([1.0, 1e-3, 1e-6, 1, 1e-3, 1])[:, None]
+    root[2] = 0.0
+    root[4] = 1e-3 * root[0]
+    covariance = root @ root.T
+    found = triangular_factor(covariance)
+    scale = np.sqrt(np.where(np.diag(covariance) > 0, np.diag(covariance), 1.0))
+    unit = np.outer(scale, scale)
+    np.testing.assert_allclose(found @ found.T / unit, covariance / unit, atol=1e-12)
+    np.testing.assert_array_equal(found, np.tril(found))
+    # An input without variance, one that another determines, and the last: rank three.
+    np.testing.assert_array_equal(np.flatnonzero(~found.any(axis=0)), [2, 4, 5])
+    np.testing.assert_array_equal(found[:4, :4], triangular_factor(covariance[:4, :4]))
+    regular = covariance + np.diag(scale**2)
+    np.testing.assert_allclose(triangular_factor(regular), np.linalg.cholesky(regular), rtol=1e-9)
 
 
 def test_shortest_interval_of_an_exponential_starts_at_its_mode() -> None:

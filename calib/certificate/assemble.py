@@ -14,7 +14,8 @@ from calib.certificate.inputs import (
 from calib.dataset.manifest import Certificate, Manifest
 from calib.instrument import CalibratedInstrument
 from calib.provenance import Provenance as RunProvenance
-from calib.results import Calibration, GazeResult, effective_baseline
+from calib.results import Calibration, GazeResult
+from calib.results_fits import effective_baseline
 
 NOT_GIVEN = "not stated"
 """The manifest's own word where no reference is named."""

@@ -83,10 +83,13 @@ class NormalKnowledge:
 
     def root(self) -> tuple[FloatArray, FloatArray]:
         """Return A, shape (r, p), and b, shape (r,), with (A x - b)² the negative double log."""
-        value, vector = np.linalg.eigh(self.precision)
+        # To unit diagonal first: precisions in 1/rad² and 1/mm² are many powers of ten apart.
+        diagonal = np.diag(self.precision)
+        unit = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
+        value, vector = np.linalg.eigh(self.precision * np.outer(unit, unit))
         keep = value > 1e-14 * max(value[-1], 1e-300)
-        a = np.sqrt(value[keep])[:, None] * vector[:, keep].T
-        b = (vector[:, keep].T @ self.shift) / np.sqrt(value[keep])
+        a = np.sqrt(value[keep])[:, None] * vector[:, keep].T / unit
+        b = (vector[:, keep].T @ (unit * self.shift)) / np.sqrt(value[keep])
         return a, b
 
 

@@ -22,7 +22,7 @@ from report_examples import everything, images, paper
 from calib.gates import Gate
 from calib.report import plotting
 from calib.report.page import SECTIONS, render_report
-from calib.results import effective_baseline
+from calib.results_fits import effective_baseline
 
 LIMIT_BYTES = 3_000_000
 
@@ -232,7 +232,23 @@ def test_comparison_holds_the_results(page: html.HtmlElement) -> None:
     scores = everything()[0].gaze.comparison.scores
     rows = table(page, "Models side by side")
     assert keys(rows, 2) == [score.loo for score in scores]
-    assert keys(rows, 5) == [score.bic for score in scores]
+    assert keys(rows, 3) == [score.weight for score in scores]
+    assert keys(rows, 4) == [score.averaging_weight for score in scores]
+    assert keys(rows, 6) == [score.bic for score in scores]
+    chosen = [row[0].text_content() for row in rows if row[0].get("class") == "good"]
+    assert chosen == [everything()[0].gaze.comparison.selected]
+
+
+def test_the_comparison_names_the_rows_it_refitted() -> None:
+    calibration, context = paper()
+    found = calibration.gaze.comparison
+    names = tuple(f"row{i}" for i in range(12))
+    scores = (replace(found.scores[0], refitted=names), *found.scores[1:])
+    gaze = replace(calibration.gaze, comparison=replace(found, scores=scores))
+    page = html.document_fromstring(render_report(replace(calibration, gaze=gaze), context))
+    assert keys(table(page, "Models side by side"), 10)[0] == 12
+    told = page.xpath("string(//section[@id='comparison'])")
+    assert f"{scores[0].model}: {', '.join(names[:10])} …" in told
 
 
 def test_intrinsics_and_stereo_hold_the_results(page: html.HtmlElement) -> None:

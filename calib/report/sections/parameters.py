@@ -39,7 +39,8 @@ from calib.report.numbers import (
 from calib.report.plotting import picture
 from calib.report.sections.identifiability import decided_cell
 from calib.report.sections.pick import selected
-from calib.results import Calibration, GazeResult, effective_baseline
+from calib.results import Calibration, GazeResult
+from calib.results_fits import effective_baseline
 
 
 def parameters(c: Calibration, context: ReportContext) -> Section | None:

@@ -22,7 +22,8 @@ from calib.report.blocks import (
 from calib.report.context import ReportContext
 from calib.report.numbers import EFFECTIVE, factor, plus_minus, signed, symbol, unit
 from calib.report.sections.pick import chosen_fit
-from calib.results import Calibration, GazeResult, effective_baseline
+from calib.results import Calibration, GazeResult
+from calib.results_fits import effective_baseline
 from calib.uncertainty.format import significant
 
 

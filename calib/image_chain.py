@@ -131,12 +131,15 @@ def sightings(
     if not named or dataset.board is None:
         return None
     noise = {name: stage.get() for name, stage in images.intrinsics.items()}
-    rms = {f"{n}_px": fit.selected.rms_px for n, fit in noise.items() if fit is not None}
+    fits = {name: fit.selected for name, fit in noise.items() if fit is not None}
+    rms = {f"{name}_px": fit.rms_px for name, fit in fits.items()}
+    warps = [fit.board_warp_mm for fit in fits.values() if fit.board_warp_mm is not None]
     return store.stage(
         f"sightings {table.file}", "calib.images.sightings:sight",
         given("table", table), given("board", dataset.board),
         images.corners.get("c1"), images.corners.get("c2"), images.stereo, images.shared,
-        given("corner noise", CornerNoise(**rms)),
+        given("corner noise", CornerNoise(**rms, warp_mm=warps[0] if warps else None)),
+        images.cameras,
     )  # fmt: skip
 
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from calib.cross_check import told_by_pairs
 from calib.dataset.contents import Dataset
 from calib.dataset.tables import LengthTable
 from calib.fit.posterior import Posterior
@@ -91,7 +92,12 @@ def calibrate(
             images=result,
             gaze=gaze,
             gates=all_gates(result, gaze, failures),
-            warnings=(*dataset.warnings, *_combined(dataset, gaze), *all_warnings(result, gaze)),
+            warnings=(
+                *dataset.warnings,
+                *_combined(dataset, gaze),
+                *all_warnings(result, gaze),
+                *told_by_pairs(dataset, result.stereo, gaze),
+            ),
             disagreements=() if gaze is None else disagreements(gaze),
         )
         written = write_outputs(

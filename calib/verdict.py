@@ -6,12 +6,14 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from calib.arrays import FloatArray
 from calib.average import doubt_of
 from calib.fit.identifiability import Identifiability
 from calib.fit.posterior import ESS_GOAL, R_HAT_LIMIT, Posterior
 from calib.fit.priors import NOISE_SCALE
 from calib.gates import Gate
 from calib.geometry.parameters import INDEX, PARAMETERS
+from calib.geometry.plane import OBSERVABLE
 from calib.images.result import ImageResult
 from calib.instrument import CalibratedInstrument, DepthTable, normalised_error
 from calib.observations import Observations
@@ -32,12 +34,30 @@ MISSED_SHARE = 0.1
 """Share of validation depths outside their 95 % intervals that chance explains often enough."""
 
 GAZE_RESIDUAL_REMARK_RAD = float(np.deg2rad(0.5))
-"""Half a degree off C2's centre column; a motor's count leaves a tenth. How far C2's centre stands
-before its yaw axis is no parameter: 30 mm at half a degree are 0.3 mm of baseline."""
+"""Half a degree off C2's centre column; a motor's count leaves a tenth."""
+
+CENTRE_AHEAD_MM = 30.0
+"""How far C2's centre stands before its yaw axis is no parameter. The residual counts as a turn
+about the axis, where it is an angle at C2's centre: at depth z it is too large by this over z."""
+
+CENTRE_AHEAD_SIGMAS = 3.0
+"""Standard deviations of a row's own noise, as an angle, that such an error may have unremarked."""
 
 DEPTH_LIMIT_REL = 0.2
 """Relative standard uncertainty, in the middle of the calibrated depths, above which nothing has
 been calibrated that a look would not tell."""
+
+NAMED = 10
+"""Outliers that a text names; calibration.json has all."""
+
+SCALE_ROWS, SCALE_RATIO = 6, 5.0
+"""Validation rows that tell, and how far their median difference stands from 0 in median deviations
+from it: six normal errors about 0 do so by chance in 1 of 100 cases."""
+
+PAIRS_NOISE_RATIO, PAIRS_NOISE_PX = 5.0, 0.25
+"""Of the residuals of pairs over those of the boards for the lenses, and what needs no excuse.
+Small squares far off double or treble the noise; a C2 bumped by 0.3 degrees half-way through leaves
+0.8 px, as the boards' own poses take up most of it, and turns 1T2 by half of that."""
 
 OUTLIER_SHARE_LIMIT = 1 / 6
 """Above it the noise scale itself may be an outlier's: see `calib.fit.noise`."""
@@ -56,10 +76,35 @@ def all_gates(
     gates = [Gate(name, passed=False, detail=reason) for name, reason in failures.items()]
     for intrinsics in images.intrinsics.values():
         gates += intrinsics.gates
-    gates += images.stereo.gates if images.stereo is not None else ()
+    if images.stereo is not None:
+        lenses = tuple(i.selected.rms_px for i in images.intrinsics.values())
+        gates += [*images.stereo.gates, *_pairs_noise(images.stereo.rms_px, lenses)]
     gates += images.sweep.gates if images.sweep is not None else ()
     gates += gaze_gates(gaze) if gaze is not None else ()
     return tuple(gates)
+
+
+def _pairs_noise(pairs_px: float, lenses_px: tuple[float, ...]) -> list[Gate]:
+    """Return a gate on how well pairs fit one pose of C2, beside how well boards fit the lenses.
+
+    Parameters
+    ----------
+    pairs_px
+        Root mean square of the pairs' residuals, px; NaN where 1T2 is given.
+    lenses_px
+        Of the boards of each camera whose lens was solved.
+    """
+    if not np.isfinite(pairs_px) or not lenses_px:
+        return []
+    limit = max(PAIRS_NOISE_PX, PAIRS_NOISE_RATIO * max(lenses_px))
+    passed = pairs_px <= limit
+    detail = (
+        f"the pairs fit one pose of C2 to {pairs_px:.3f} px, the boards the lenses to "
+        f"{max(lenses_px):.3f} px (limit for the pairs {limit:.2f})"
+    )
+    if not passed:
+        detail += "; was C2 moved or bumped between the pairs, or a lens between pairs and boards?"
+    return [Gate("stereo-noise", passed, detail)]
 
 
 def all_warnings(images: ImageResult, gaze: GazeResult | None) -> tuple[str, ...]:
@@ -146,7 +191,7 @@ def _residuals(gaze: GazeResult, model: str) -> Gate:
 def _outliers(gaze: GazeResult, model: str) -> Gate:
     outliers, count = gaze.robust[model].outliers, len(gaze.rows)
     passed = len(outliers) <= OUTLIER_SHARE_LIMIT * count
-    named = f": {', '.join(outliers[:10])}" if outliers else ""
+    named = f": {', '.join(outliers[:NAMED])}" if outliers else ""
     detail = f"{len(outliers)} of {count} rows disagree with the others{named}"
     if not passed:
         detail += "; too many to be chance: check these rows, units and groups"
@@ -187,6 +232,7 @@ def gaze_warnings(gaze: GazeResult) -> tuple[str, ...]:
                 "is a surprise, check unit (degrees) and origin of alpha2_deg (at 90 C2 looks "
                 "parallel to Z of C1)"
             )
+        found += _named_outliers(gaze, model)
         found += _left_to_priors(gaze.identifiability[model])
         found += [
             f"model {score.model}: left-out density of row {', '.join(score.unreliable)} is "
@@ -211,25 +257,43 @@ def gaze_warnings(gaze: GazeResult) -> tuple[str, ...]:
     return tuple(found)
 
 
+def _named_outliers(gaze: GazeResult, model: str) -> list[str]:
+    """Return a warning that names outliers too few for their gate: gross errors of single rows."""
+    outliers = gaze.robust[model].outliers
+    if not outliers or not _outliers(gaze, model).passed:
+        return []
+    more = f" and {len(outliers) - NAMED} more" if len(outliers) > NAMED else ""
+    return [
+        f"{len(outliers)} of {len(gaze.rows)} rows disagree with the others and hardly move the "
+        f"result: {', '.join(outliers[:NAMED])}{more}; look at their pictures, reading and "
+        "reference depth"
+    ]
+
+
 def _off_centre(rows: Observations) -> list[str]:
     """Return a warning if C2 did not gaze at the targets that its images show."""
     off = np.abs(rows.gaze_residual_rad)
-    far, worst = int(np.sum(off > GAZE_RESIDUAL_REMARK_RAD)), int(np.argmax(off))
+    noise = np.hypot(rows.std[:, OBSERVABLE.x1c], rows.std[:, OBSERVABLE.residual])
+    unseen = CENTRE_AHEAD_SIGMAS * noise * rows.z_mm / CENTRE_AHEAD_MM
+    limit = np.minimum(GAZE_RESIDUAL_REMARK_RAD, np.where(noise > 0, unseen, np.inf))
+    far, worst = int(np.sum(off > limit)), int(np.argmax(off))
     if not far:
         return []
     return [
         f"in {far} of {len(rows)} rows the target is off C2's centre column, by "
-        f"{np.rad2deg(off[worst]):.1f} deg in {rows.ids[worst]}: the model holds near the centre "
-        "column. Turn C2 until it gazes at the target; if it did, check [board] target, u2_px and "
-        "the principal point of C2"
+        f"{np.rad2deg(off[worst]):.2f} deg in {rows.ids[worst]}: the model holds near the centre "
+        "column, as C2's centre stands some way before its yaw axis. Turn C2 until it gazes at the "
+        "target; if it did, check [board] target, u2_px and the principal point of C2"
     ]
 
 
 def _left_to_priors(found: Identifiability) -> list[str]:
     """Return what the rows leave open, with the parameters that priors therefore decide."""
     left = [name for name, who in zip(found.names, found.decided_by, strict=True) if who == "prior"]
-    texts = []
+    texts: list[str] = []
     for combination in found.open:
+        if any(text.startswith(combination.words) for text in texts):
+            continue  # two combinations may ask for the same
         own = [name for name in found.names if name in combination.names and name in left]
         left = [name for name in left if name not in own]
         decided = f"; until then its prior decides {' and '.join(own)}" if own else ""
@@ -254,12 +318,27 @@ def disagreements(gaze: GazeResult) -> tuple[str, ...]:
     for error in validation.errors:
         score = normalised_error(p, error)
         known = np.isfinite(score[first])
-        bad = int(np.sum(score[first][known] > 1))
-        if bad > MISSED_SHARE * known.sum():
+        bad = first[known][score[first][known] > 1]
+        if len(bad) > MISSED_SHARE * known.sum():
+            worst = bad[np.argsort(-score[bad], kind="stable")][:NAMED]
+            named = ", ".join(validation.ids[i] for i in worst)
             found.append(
-                f"{bad} of {int(known.sum())} validation depths differ from {error.name} by more "
-                "than their 95 % uncertainties together (E_n > 1): calibration reference and "
-                "validation reference contradict each other. The uncertainties stated are against "
-                "the reference used to calibrate"
+                f"{len(bad)} of {int(known.sum())} validation depths differ from {error.name} by "
+                "more than their 95 % uncertainties together (E_n > 1; the worst first: "
+                f"{named}): calibration reference and validation reference contradict each other, "
+                "or a row is mistaken. The uncertainties stated are against "
+                f"the reference used to calibrate{_common_scale(error.error_rel[first][known])}"
             )
     return tuple(found)
+
+
+def _common_scale(error_rel: FloatArray) -> str:
+    """Return what to add where depths are wrong by one factor, as a wrong scale makes them."""
+    middle = float(np.median(error_rel))
+    scatter = float(np.median(np.abs(error_rel - middle)))
+    if len(error_rel) < SCALE_ROWS or abs(middle) < SCALE_RATIO * scatter:
+        return ""
+    return (
+        f". All differ by about {100 * middle:+.1f} %, as a wrong scale makes them: measure the "
+        "board's squares again (square_mm), and check how both references were measured"
+    )

@@ -310,7 +310,7 @@ def _gate(model: Model, worst: float, combinations: tuple[Combination, ...]) -> 
         f"the parameters of {model.name} leave the rows' depths uncertain by {100 * worst:.2g} % "
         f"at most (limit {100 * PREDICTED_LIMIT_REL:.0f} %)"
     )
-    words = [c.words for c in reversed(combinations) if c.words]
+    words = list(dict.fromkeys(c.words for c in reversed(combinations) if c.words))
     if not passed:
         detail += "; " + ("; ".join(words) or "add targets, or state their depths more exactly")
     return Gate("identified", passed=passed, detail=detail)

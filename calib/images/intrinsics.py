@@ -280,6 +280,7 @@ def _assemble(
     at = nodes(inliers, corners.image_size)
     agreement, splined, others = _differences(enlarged, selected, backends, lens, at)
     unused = seen(corners.pixels).any(axis=-1) & ~_views_of(selected)
+    odd = _odd_views(corners, selected)
     gates = intrinsics_gates(camera, enlarged, coverage, validation, agreement=agreement)
     return Intrinsics(
         name=camera,
@@ -299,7 +300,7 @@ def _assemble(
         mrcal_version=None if mrcal.missing else mrcal.version,
         gates=gates,
         warnings=(
-            *_picture_warnings(camera, corners, repeated),
+            *_picture_warnings(camera, corners, repeated, odd),
             *_backend_warnings(camera, mrcal),
             *intrinsics_warnings(camera, gates, dispersion=dispersion, splined=splined),
         ),
@@ -335,7 +336,16 @@ def _selection(selected: LensFit, validation: CrossValidation, backends: _Backen
     return "; ".join([validation.reason, *backends.failed, f"by {backend}"])
 
 
-def _picture_warnings(camera: str, corners: Corners, repeated: tuple[str, ...]) -> tuple[str, ...]:
+def _odd_views(corners: Corners, selected: LensFit) -> tuple[str, ...]:
+    """Return the images of which the fit rejected over half of the corners."""
+    found = seen(corners.pixels).sum(axis=-1)
+    kept = seen(selected.residuals).sum(axis=-1)
+    return tuple(corners.images[i] for i in np.flatnonzero(2 * kept < found))
+
+
+def _picture_warnings(
+    camera: str, corners: Corners, repeated: tuple[str, ...], odd: tuple[str, ...]
+) -> tuple[str, ...]:
     """Say what became of pictures that are not used."""
     warnings = []
     missed = [
@@ -348,6 +358,12 @@ def _picture_warnings(camera: str, corners: Corners, repeated: tuple[str, ...]) 
         )
     if repeated:
         warnings.append(f"{camera}: repeats of other images are not used: {', '.join(repeated)}")
+    if odd:
+        warnings.append(
+            f"{camera}: most corners of {', '.join(odd)} contradict the other images and were "
+            "left out: look whether such a picture is turned, scaled, or taken with another focus "
+            "or camera"
+        )
     return tuple(warnings)
 
 

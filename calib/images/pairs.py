@@ -52,6 +52,16 @@ class PairStart:
     pose_12: FloatArray
     poses: FloatArray
 
+    def keep(self, chosen: BoolArray) -> PairStart:
+        """Return the start of some of the pairs only, shape (n,)."""
+        return PairStart(
+            pairs=self.pairs[chosen],
+            pixels=self.pixels[:, chosen],
+            turned=self.turned[chosen],
+            pose_12=self.pose_12,
+            poses=self.poses[chosen],
+        )
+
 
 def half_turn_looks_same(board: Board) -> bool:
     """Return whether the board's corners can be read from either end."""

@@ -9,20 +9,36 @@ import numpy as np
 from calib.arrays import FloatArray
 from calib.dataset.tables import GazeTable
 from calib.errors import EstimationError, InputError, Problem
+from calib.geometry.camera import Camera
+from calib.images.bundle import bowed, finite
 from calib.images.detect_grid import orient_like
+from calib.images.mrcal_process import MIN_CORNERS
+from calib.images.pairs import single_view_pose
 from calib.images.stereo import StereoReference
 from calib.images.stereo_solve import CameraPair
 from calib.images.triangulate import shared_names
 from calib.images.types import Board, Corners
-from calib.observe import U_PIXEL, Shared, Sightings
+from calib.observe import U_PIXEL, CameraSet, Shared, Sightings
+
+POSE = 6
+"""Unknowns of the pose of a board."""
 
 
 @dataclass(frozen=True)
 class CornerNoise:
-    """Standard deviation of a corner coordinate of C1 and of C2, px."""
+    """How well corners are found in the board images of each camera.
+
+    Parameters
+    ----------
+    c1_px, c2_px
+        Standard deviation of a coordinate, px.
+    warp_mm
+        Bow of the board along x and y, where a solve told it.
+    """
 
     c1_px: float = U_PIXEL
     c2_px: float = U_PIXEL
+    warp_mm: tuple[float, float] | None = None
 
 
 def pick(corners: Corners, images: tuple[str, ...]) -> Corners:
@@ -59,6 +75,7 @@ def sight(
     stereo: StereoReference | None,
     shared: Shared,
     noise: CornerNoise,
+    cameras: CameraSet,
 ) -> Sightings:
     """Return what the images of a table's rows say.
 
@@ -66,6 +83,10 @@ def sight(
     ----------
     corners_c1, corners_c2
         Boards found in the images the rows name; None if they name none.
+    noise
+        Of the images for the intrinsics; that of the rows' own images counts where it is larger.
+    cameras
+        C1 and C2 as far as they are known.
 
     Raises
     ------
@@ -84,12 +105,45 @@ def sight(
     return Sightings(
         pixel_c1=pixel_c1,
         pixel_c2=pixel_c2,
-        u_c1_px=noise.c1_px,
-        u_c2_px=noise.c2_px,
+        u_c1_px=_corner_noise(views_c1, board, cameras.c1, noise.warp_mm, least=noise.c1_px),
+        u_c2_px=_corner_noise(views_c2, board, cameras.c2, noise.warp_mm, least=noise.c2_px),
         z_mm=z,
         u_z_mm=u_z,
         z_by_common=by_common,
     )
+
+
+def _corner_noise(
+    views: FloatArray,
+    board: Board,
+    camera: Camera | None,
+    warp_mm: tuple[float, float] | None,
+    *,
+    least: float,
+) -> float:
+    """Return the standard deviation of a corner coordinate in the images of rows, px.
+
+    Targets stand farther off than boards for intrinsics, their squares are smaller, and corners are
+    found less well: on a ChArUco board of 25 px squares to 0.03 px instead of 0.011. What the poses
+    of the boards leave of the corners tells, in the median image.
+
+    Parameters
+    ----------
+    views
+        Corners, px, shape (n, corners, 2); NaN where not found.
+    least
+        What it is at least, px.
+    """
+    if camera is None:
+        return least
+    points = bowed(board.object_points(), warp_mm)
+    found = []
+    for view in views:
+        coordinates = 2 * int(finite(view).sum())
+        if coordinates >= 2 * MIN_CORNERS:
+            _, rms = single_view_pose(camera, points=points, pixels=view)
+            found.append(rms * np.sqrt(coordinates / (coordinates - POSE)))
+    return max(least, float(np.median(found))) if found else least
 
 
 def _views(names: tuple[str | None, ...], corners: Corners | None, board: Board) -> FloatArray:
@@ -136,7 +190,8 @@ def _depths(
         if stem not in place:
             raise EstimationError(
                 f"{table.file}, line {table.line[i]} (id {table.ids[i]}): pair {stem} gave no "
-                "position: its board was not found in both images; leave the row out"
+                "position: its board was not found in both images, or does not fit the other "
+                "pairs; leave the row out"
             )
         k = place[stem]
         z[i] = targets.triangulated.position_mm[k, 2]

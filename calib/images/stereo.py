@@ -11,12 +11,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.arrays import FloatArray
+from calib.arrays import BoolArray, FloatArray
 from calib.errors import EstimationError
 from calib.gates import Gate
+from calib.images.bundle import finite
 from calib.images.checks import fit_gate, gate
 from calib.images.mrcal_call import MrcalMissingError
-from calib.images.pairs import PairStart, start_pairs
+from calib.images.pairs import MIN_PAIRS, PairStart, start_pairs
 from calib.images.poses import pose_matrix, pose_vector, rotation
 from calib.images.stereo_solve import (
     CameraPair,
@@ -42,6 +43,14 @@ normal than that."""
 
 ROLL_LIMIT_RAD = float(np.deg2rad(45.0))
 """Beyond, C2's centre column is nearer to a row of C1. The model's roll is a degree or two."""
+
+NO_POSE_RMS_PX = 5.0
+"""Pairs that belong together fit to a fraction of a pixel, with poor intrinsics to some; whatever a
+pose says that misses them by more, that C2 stands on the left or upside down, it says by chance."""
+
+ODD_SHARE = 0.5
+"""Of a pair's corners rejected: above it not a corner is wrong but the pair. Two pictures that were
+not taken together, or one upside down, keep a corner or two by chance."""
 
 GIVEN_SIGMA_PX = 0.1
 """Standard deviation of a corner coordinate where 1T2 is given and no solve tells it."""
@@ -114,11 +123,17 @@ def stereo_reference(
     ------
     EstimationError
         If there are too few pairs, or they cannot be pairs of this rig: a board miscounted, C1 and
-        C2 swapped, C2 upside down.
+        C2 swapped, C2 upside down, pictures that were not taken together.
     """
     start = start_pairs(corners, board, cameras=rig.cameras)
     solves, backend_gates = _solve(start, board, rig, seed)
+    odd = _odd_pairs(start, solves)
+    pairs_gate = _pairs_gate(tuple(stems[i] for i in start.pairs[odd]), len(odd))
+    if odd.any() and np.sum(~odd) >= MIN_PAIRS:
+        start = start.keep(~odd)
+        solves, backend_gates = _solve(start, board, rig, seed)
     record = solves[0]
+    _check_together(record)
     _check_mounting(record.pose_12)
     used = tuple(stems[i] for i in start.pairs)
     targets = find_targets(
@@ -146,7 +161,7 @@ def stereo_reference(
         covariance=record.covariance,
         solves=solves,
         targets=targets,
-        gates=(fit, *backend_gates),
+        gates=(fit, pairs_gate, *backend_gates),
     )
 
 
@@ -253,6 +268,38 @@ def _solve(
     except EstimationError:  # too few pairs for intrinsics of their own
         return (record, plain), (agreement,)
     return (record, plain, joint), (agreement, _intrinsics_gate(record, joint))
+
+
+def _odd_pairs(start: PairStart, solves: tuple[StereoSolve, ...]) -> BoolArray:
+    """Return which pairs do not fit the pose that the others share, shape (n,)."""
+    plain = next(solve for solve in solves if solve.backend == "opencv")
+    shown = finite(start.pixels).all(axis=0).sum(axis=-1)
+    kept = finite(plain.residuals).all(axis=0).sum(axis=-1)
+    odd: BoolArray = np.asarray(shown - kept > ODD_SHARE * shown)
+    return odd
+
+
+def _pairs_gate(odd: tuple[str, ...], count: int) -> Gate:
+    """Gate on pairs that contradict the others."""
+    if not odd:
+        return Gate("stereo-pairs", True, f"all {count} pairs fit one pose of C2")
+    return Gate(
+        "stereo-pairs",
+        False,
+        f"{len(odd)} of {count} pairs do not fit the pose of C2 that the others share: "
+        f"{', '.join(odd)}; look whether their two pictures were taken together, of C1 and C2 in "
+        "this order, none turned, with C2 at its yaw; mend them, or leave the pairs out",
+    )
+
+
+def _check_together(record: StereoSolve) -> None:
+    """Raise EstimationError if the pairs fit no pose at all."""
+    if record.rms_px > NO_POSE_RMS_PX:
+        raise EstimationError(
+            f"stereo: the pairs fit no single pose of C2, rms {record.rms_px:.1f} px: check that "
+            "pictures of one name were taken together and C2 stood still, that [stereo] c1 and c2 "
+            "are not exchanged, and that the intrinsics are these cameras'"
+        )
 
 
 def _check_mounting(pose_12: FloatArray) -> None:

@@ -140,6 +140,7 @@ def solve_opencv(start: PairStart, board: Board, rig: CameraPair) -> StereoSolve
         if not np.any(used & (size > limit)):
             break
         used &= size <= limit
+    used[used.sum(axis=-1) < MIN_CORNERS] = False  # no pose of their own, nor a word on 1T2
     residuals[:, ~used] = np.nan
     solve = StereoSolve(
         backend="opencv",

@@ -21,7 +21,9 @@ import numpy as np
 from calib.arrays import FloatArray
 from calib.gates import Gate
 from calib.geometry.camera import Camera
+from calib.images.bundle import finite
 from calib.images.checks import fit_gate, gate
+from calib.images.mrcal_process import MIN_CORNERS
 from calib.images.poses import rotation
 from calib.images.sweep_model import AXIS, ENCODER, Axis, SweepProblem, axis_of, residuals_of
 from calib.images.sweep_solve import SweepReadings, solve_sweep
@@ -172,7 +174,8 @@ def yaw_sweep(
     axis = axis_of(x)
     unknowns = AXIS + len(ENCODER)
     spread = solution.dispersion * solution.spread[:unknowns, :unknowns]
-    mean, covariance_all = _parameters(x, spread, *_height(axis, pose_12))
+    height = _height(axis, pose_12)
+    mean, covariance_all = _parameters(x, spread, *height)
     std = np.sqrt(np.diag(covariance_all))
     e, roll, scale = (NAMES.index(name) for name in _REPORTED)
     shown = [True, True, *(not np.isfinite(prior) for _, prior in problem.encoder_prior)]
@@ -205,7 +208,7 @@ def yaw_sweep(
         rejected=solution.rejected,
         gates=(),
     )
-    return replace(result, gates=_gates(result, _span(problem), readings.std_rad))
+    return replace(result, gates=_gates(result, _span(problem), readings.std_rad, height[1]))
 
 
 def _parameters(
@@ -250,7 +253,23 @@ def _span(problem: SweepProblem) -> float:
     )
 
 
-def _gates(result: SweepResult, span: float, stated_rad: float) -> tuple[Gate, ...]:
+def _images_gate(result: SweepResult) -> Gate:
+    """Gate on images that were left out whole, as outliers."""
+    left = finite(result.residuals).sum(axis=-1)
+    out = [name for name, count in zip(result.images, left, strict=True) if count < MIN_CORNERS]
+    return gate(
+        "sweep-images",
+        not out,
+        f"{len(out)} of {len(left)} images contradict the others"
+        + (f" and were left out: {', '.join(out)}" if out else ""),
+        remedy="check alpha2_deg of these images, that they show this placement, and that the "
+        "board stood still; or leave them out",
+    )
+
+
+def _gates(
+    result: SweepResult, span: float, stated_rad: float, height_std_mm: float
+) -> tuple[Gate, ...]:
     """Return what must hold before the sweep may be used.
 
     Parameters
@@ -259,7 +278,18 @@ def _gates(result: SweepResult, span: float, stated_rad: float) -> tuple[Gate, .
         Widest turn before one board, rad.
     stated_rad
         Standard uncertainty that is stated for a reading.
+    height_std_mm
+        Of the way along the axis to C1's plane Y = 0.
     """
+    by_height = abs(np.sin(result.gaze_roll_rad)) * height_std_mm
+    if by_height > np.sqrt(0.5) * result.eccentricity_std_mm:
+        remedy = (
+            f"C2 is rolled by {np.degrees(result.gaze_roll_rad):.1f} deg against its yaw axis, so "
+            "that e differs along it, and nothing tells the height of C1: add [stereo], or mount "
+            "C2 upright"
+        )
+    else:
+        remedy = "sweep further, or before a nearer or larger board"
     worst = int(np.argmax(np.abs(result.reading_errors_rad)))
     error = abs(float(result.reading_errors_rad[worst]))
     limit = max(READING_LIMIT * stated_rad, SMALL_READING_ERROR_RAD)
@@ -270,6 +300,7 @@ def _gates(result: SweepResult, span: float, stated_rad: float) -> tuple[Gate, .
             result.rejected,
             remedy="check that the board stood still within each placement, and the readings",
         ),
+        _images_gate(result),
         gate(
             "sweep-span",
             span >= MIN_SPAN_RAD,
@@ -282,7 +313,7 @@ def _gates(result: SweepResult, span: float, stated_rad: float) -> tuple[Gate, .
             result.eccentricity_std_mm <= ECCENTRICITY_STD_LIMIT_MM,
             f"eccentricity {result.eccentricity_mm:z.2f} mm, standard uncertainty "
             f"{result.eccentricity_std_mm:.2f} mm (limit {ECCENTRICITY_STD_LIMIT_MM:g})",
-            remedy="sweep further, or before a nearer or larger board",
+            remedy=remedy,
         ),
         gate(
             "sweep-encoder",

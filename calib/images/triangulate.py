@@ -109,13 +109,7 @@ def triangulate(
     EstimationError
         If the rays of a pair do not meet in front of the cameras.
     """
-    start = _midpoints(pixels, cameras, pose_12)
-    if np.any(start[:, 2] <= 0):
-        raise EstimationError(
-            "stereo: the rays of a pair meet behind C1; check that C1 and C2 are not swapped and "
-            "that the pairs belong together"
-        )
-    points = start
+    points = _midpoints(pixels, cameras, pose_12)
     for _ in range(_NEWTON_STEPS):
         error, by_point, _ = _errors(points, pixels, cameras, pose_12)
         points = points - np.einsum("nak,nk->na", np.linalg.pinv(by_point), error)
@@ -203,6 +197,7 @@ def find_targets(
     """
     points = pixels[:, :, board.target_index]
     found = np.flatnonzero(finite(points).all(axis=0))
+    _require_ahead(points[:, found], cameras, pose_12, tuple(stems[i] for i in found))
     triangulated = triangulate(
         points[:, found], cameras=cameras, pose_12=pose_12, sigma_px=sigma_px
     )
@@ -225,6 +220,22 @@ def find_targets(
         by_board=by_board,
         board_sigmas=difference[:, 2] / spread,
     )
+
+
+def _require_ahead(
+    pixels: FloatArray,
+    cameras: tuple[Camera, Camera],
+    pose_12: FloatArray,
+    stems: tuple[str, ...],
+) -> None:
+    """Raise EstimationError, with the pairs' names, unless all rays meet in front of C1."""
+    behind = _midpoints(pixels, cameras, pose_12)[:, 2] <= 0
+    if behind.any():
+        raise EstimationError(
+            f"stereo: the rays of {np.sum(behind)} of {len(stems)} pairs meet behind C1, in "
+            f"{', '.join(s for s, b in zip(stems, behind, strict=True) if b)}; check that C1 and "
+            "C2 are not swapped and that the two pictures belong together"
+        )
 
 
 def _midpoints(

@@ -73,6 +73,7 @@ def test_views_and_detectors_are_accounted_for(good: Intrinsics) -> None:
     assert good.selected.rejected == pytest.approx(54, abs=10)
     assert any("in 1 of 23 intrinsic images (03.png)" in w for w in good.warnings)
     assert any("repeats" in w and "09.png" in w for w in good.warnings)
+    assert any("12.png contradict the other images" in w for w in good.warnings)
     assert good.uncertainty.std_px.shape == good.differences[0].expected_px.shape
     assert 0.5 < good.coverage.share < 0.9
 

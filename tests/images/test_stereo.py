@@ -3,6 +3,7 @@ tool (mrcal) for the covariance; properties (jacobians, half turns of boards); n
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import board_scenes as scenes
@@ -368,6 +369,47 @@ def test_upside_down_pictures_of_c2_are_named_by_the_pairs(exact: scenes.Pairs) 
     )
     with pytest.raises(EstimationError, match=r"turned by (-?179|180) deg against C1's"):
         stereo_reference((exact.c1, upside), scenes.BOARD, rig, stems=exact.c1.images, seed=0)
+
+
+def upside_down(views: FloatArray) -> None:
+    views[1, 5] = np.array([1279, 959]) - views[1, 5]
+
+
+def exchanged(views: FloatArray) -> None:
+    views[1, [5, 7]] = views[1, [7, 5]]
+
+
+def cameras_swapped(views: FloatArray) -> None:
+    views[:, 5] = views[::-1, 5].copy()
+
+
+def bumped(views: FloatArray) -> None:
+    views[1, 5] += [3, 0]
+
+
+@pytest.mark.parametrize("fault", [upside_down, exchanged, cameras_swapped, bumped])
+def test_a_pair_that_does_not_belong_is_named_and_left_out(
+    exact: scenes.Pairs, fault: Callable[[FloatArray], None]
+) -> None:
+    pair = noisy(np.random.default_rng(1), exact)
+    views = np.stack([c.pixels for c in pair])
+    fault(views)
+    one, two = (replace(c, pixels=v) for c, v in zip(pair, views, strict=True))
+    reference = stereo_reference((one, two), scenes.BOARD, KNOWN, stems=one.images, seed=0)
+    odd = {"05.png", "07.png"} if fault is exchanged else {"05.png"}
+    assert set(one.images) - set(reference.stems) == odd
+    assert set(reference.targets.stems) == set(reference.stems)
+    failed = {gate.name: gate.detail for gate in reference.gates if not gate.passed}
+    assert list(failed) == ["stereo-pairs"]
+    assert ", ".join(sorted(odd)) in failed["stereo-pairs"]
+    error = reference.pose_12 - scenes.POSE_12
+    assert np.all(np.abs(error) < 4 * np.sqrt(np.diag(reference.covariance)))
+
+
+def test_pictures_numbered_off_by_one_are_told_from_swapped_cameras(exact: scenes.Pairs) -> None:
+    shifted = replace(exact.c2, pixels=np.roll(exact.c2.pixels, 1, axis=0))
+    with pytest.raises(EstimationError, match="the pairs fit no single pose of C2"):
+        stereo_reference((exact.c1, shifted), scenes.BOARD, KNOWN, stems=exact.c1.images, seed=0)
 
 
 @pytest.mark.parametrize("size", [(6, 9), (27, 2)])

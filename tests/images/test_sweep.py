@@ -111,6 +111,20 @@ def test_height_of_c1_enters_by_the_roll() -> None:
     assert alone.eccentricity_std_mm == pytest.approx(20.0 * np.sin(0.03), rel=0.01)
 
 
+def test_a_rolled_camera_at_unknown_height_is_told_so() -> None:
+    rng = np.random.default_rng(1)
+    drawn = draw_rig(rng, model="axis-tilt", fixed={"gaze_roll_rad": 0.09})
+    rig = replace(drawn, resolution_rad=1e-9)
+    scene = scenes.sweep(rng, rig, readings=WIDE)
+    shown = SweepReadings(scene.alpha2_rad, scene.placements, 0.0, 0.0)
+    found = scenes.noisy(rng, scene.found, 1e-3)
+    alone = yaw_sweep(found, shown, scenes.BOARD, camera=rig.c2, covariance=np.zeros((9, 9)))
+    (failed,) = (gate for gate in alone.gates if not gate.passed)
+    assert failed.name == "sweep-eccentricity"
+    assert "rolled by 5.2 deg against its yaw axis" in failed.detail
+    assert "sweep further" not in failed.detail
+
+
 def test_jacobian_agrees_with_differences() -> None:
     rng = np.random.default_rng(2)
     rig = drawn_rig(rng)
@@ -298,6 +312,24 @@ def test_wrong_sign_is_named_though_few_images_could_follow_it() -> None:
     few = np.deg2rad(np.linspace(60, 95, 6))
     with pytest.raises(EstimationError, match="alpha2 counts the wrong way round"):
         solve(rng, rig, readings=few, sigma_px=0.02, lens_std=0.1 * LENS_STD, edit=edit)
+
+
+def test_a_reading_so_wrong_that_its_image_is_left_out_is_named() -> None:
+    """Sharp corners contradict a reading off by 1 degree all at once, and leave as outliers."""
+    rng = np.random.default_rng(11)
+    rig = replace(drawn_rig(rng), resolution_rad=float(np.deg2rad(0.018)))
+
+    def edit(found: Corners, shown: SweepReadings) -> tuple[Corners, SweepReadings]:
+        off = shown.alpha2_rad.copy()
+        off[5] += np.deg2rad(1.0)
+        return found, replace(shown, alpha2_rad=off)
+
+    result = solve(rng, rig, sigma_px=0.02, lens_std=0.1 * LENS_STD, edit=edit)
+    failed = [gate for gate in result.gates if not gate.passed]
+    assert [gate.name for gate in failed] == ["sweep-images"]
+    assert result.images[5] in failed[0].detail
+    e = rig.theta[INDEX["eccentricity_mm"]]
+    assert abs(result.eccentricity_mm - e) < 4 * result.eccentricity_std_mm
 
 
 def test_a_wrong_reading_is_named() -> None:

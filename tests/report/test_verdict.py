@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
+import pytest
 from report_examples import paper
 
 from calib.fit.identifiability import Identifiability
+from calib.geometry.plane import OBSERVABLE
 from calib.results import GazeResult
-from calib.verdict import gaze_gates, gaze_warnings
+from calib.verdict import all_gates, disagreements, gaze_gates, gaze_warnings
 
 
 def gaze() -> GazeResult:
@@ -46,6 +49,8 @@ def test_what_is_left_to_the_prior_is_said_once() -> None:
     assert text.endswith("its prior decides baseline_mm and eccentricity_mm")
     closed = tuple(replace(c, remedies=()) for c in told.combinations)
     assert len(warned(replace(told, combinations=closed))) == 2
+    twice = replace(told, combinations=tuple(replace(c, **vars(told.open[0])) for c in closed))
+    assert len(warned(twice)) == 1
 
 
 def test_targets_off_the_centre_column_are_named() -> None:
@@ -56,7 +61,17 @@ def test_targets_off_the_centre_column_are_named() -> None:
     seen = replace(found, rows=replace(found.rows, gaze_residual_rad=off))
     (text,) = (text for text in gaze_warnings(seen) if "centre column" in text)
     assert text.startswith(f"in 2 of {len(off)} rows")
-    assert f"2.0 deg in {found.rows.ids[2]}" in text
+    assert f"2.00 deg in {found.rows.ids[2]}" in text
+
+
+def test_sharp_rows_are_held_to_a_tighter_gaze() -> None:
+    """30 mm before the axis, a residual of 2 mrad is wrong by 0.1 mrad at 600 mm."""
+    rows = replace(gaze().rows, z_mm=np.full(6, 600.0), gaze_residual_rad=np.full(6, 2e-3))
+    for noise, remarks in ((0.01e-3, 1), (0.1e-3, 0)):
+        std = np.zeros_like(rows.std)
+        std[:, OBSERVABLE.residual] = noise
+        found = gaze_warnings(replace(gaze(), rows=replace(rows, std=std)))
+        assert sum("6 of 6 rows the target is off C2's centre" in text for text in found) == remarks
 
 
 def test_a_reading_that_tells_nothing_of_depth_fails() -> None:
@@ -93,3 +108,59 @@ def test_a_large_zero_error_is_remarked_on() -> None:
     values[fit.names.index("delta2_rad")] = np.deg2rad(-9.0)
     found = gaze_warnings(refitted(values=values))
     assert [text for text in found if "-9.0 deg: if that is a surprise" in text]
+
+
+def test_outliers_are_named_by_a_warning_or_their_gate() -> None:
+    assert not [text for text in gaze_warnings(gaze()) if "disagree" in text]
+    one = refitted(outliers=("g2",))
+    (text,) = (text for text in gaze_warnings(one) if "disagree" in text)
+    assert text.startswith("1 of 6 rows disagree with the others and hardly move the result: g2;")
+    many = refitted(outliers=("g2", "g3"))
+    assert not [text for text in gaze_warnings(many) if "disagree" in text]
+    (failed,) = (gate for gate in gaze_gates(many) if not gate.passed)
+    assert failed.name == "outliers"
+    assert "g2, g3" in failed.detail
+
+
+@pytest.mark.parametrize(
+    ("pairs", "lenses", "passed"),
+    [(0.03, (0.01, 0.012), True), (0.824, (0.012, 0.012), False), (0.9, (0.2, 0.1), True)],
+)
+def test_pairs_that_fit_far_worse_than_the_lenses_fail(
+    pairs: float, lenses: tuple[float, ...], passed: bool
+) -> None:
+    found, _ = paper()
+    stereo = SimpleNamespace(gates=(), rms_px=pairs)
+    fits = {
+        str(i): SimpleNamespace(selected=SimpleNamespace(rms_px=rms), gates=())
+        for i, rms in enumerate(lenses)
+    }
+    images = replace(found.images, stereo=stereo, intrinsics=fits)
+    (gate,) = (g for g in all_gates(images, None, {}) if g.name == "stereo-noise")
+    assert gate.passed is passed
+    assert ("bumped" in gate.detail) is not passed
+    given = replace(images, stereo=SimpleNamespace(gates=(), rms_px=float("nan")))
+    assert all_gates(given, None, {}) == ()
+
+
+@pytest.mark.parametrize(("scatter", "named"), [(1e-3, True), (0.03, False)])
+def test_a_common_factor_of_all_validation_depths_points_to_the_scale(
+    scatter: float, named: bool
+) -> None:
+    """A board stated at 24 mm whose squares have 25: depths 4 % too short, give or take."""
+    error = -0.04 + scatter * np.random.default_rng(0).normal(size=8)
+    depth = np.linspace(600.0, 1200.0, 8)
+    validation = SimpleNamespace(
+        prediction=SimpleNamespace(low95_mm=depth - 1.0, high95_mm=depth + 1.0),
+        errors=(
+            SimpleNamespace(
+                name="ruler", error_rel=error, reference_mm=depth, std_mm=np.full(8, 0.5)
+            ),
+        ),
+        depth_of=np.arange(8),
+        ids=tuple(f"v{i}" for i in range(8)),
+    )
+    (text,) = disagreements(replace(gaze(), validation=validation))
+    assert ("All differ by about -4.0 %" in text) is named
+    far = np.argsort(-np.abs(error * depth))
+    assert f"the worst first: v{far[0]}, v{far[1]}, v{far[2]}" in text

@@ -1,5 +1,8 @@
 """Leave-one-out densities: what a model expects of each row from all others.
 
+Rows that share the error of a reference depth are left out together: from one of them the others
+would be expected with its error.
+
 Draws of the full posterior are given the weights that they have once the row is left out, smoothed
 by a Pareto tail (Vehtari, Gelman and Gabry 2017, doi 10.1007/s11222-016-9696-4); where that fails,
 the model is fitted again without the row.
@@ -7,7 +10,7 @@ the model is fitted again without the row.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,8 +18,9 @@ from arviz_stats.base import array_stats
 from numpy.random import SeedSequence
 from scipy.special import logsumexp
 
-from calib.arrays import FloatArray
+from calib.arrays import FloatArray, IntArray
 from calib.errors import EstimationError
+from calib.fit.groups import units
 from calib.fit.importance import K_HAT_LIMIT, ImportanceSample, sample_importance
 from calib.fit.posterior import Posterior, laplace, posterior_of
 from calib.fit.priors import Priors
@@ -77,9 +81,10 @@ class LeftOut:
     Parameters
     ----------
     pointwise
-        Log predictive density of each row under the posterior of the others, shape (n,).
+        Log predictive density of each row under the posterior of those of other units, shape (n,);
+        see `calib.fit.groups.units`.
     pareto_k
-        Shape parameter of each row's importance weights, shape (n,).
+        Shape parameter of the importance weights of each row's unit, shape (n,).
     refitted
         Places of rows that were predicted by an exact refit, as `pareto_k` was too high.
     unreliable
@@ -125,30 +130,44 @@ def _loo(
     used = np.isfinite(sample.log_weights)
     draws, log_prior_weights = sample.draws[used], sample.log_weights[used]
     pointwise, pareto_k = np.empty(len(rows)), np.empty(len(rows))
-    step = max(1, CHUNK_ELEMENTS // len(draws))
-    for start in range(0, len(rows), step):
-        part = np.arange(start, min(start + step, len(rows)))
+    unit = units(rows)
+    for part in _parts(unit, max(1, CHUNK_ELEMENTS // len(draws))):
         density = target.only(part).pointwise(draws).T
-        # A draw's weight once the row is left out: its own over what the row gave it.
-        log_weights, pareto_k[part] = _smoothed(
-            target.power[part, None] * density - log_prior_weights
-        )
+        starts, place = np.unique(unit[part], return_index=True, return_inverse=True)[1:]
+        # A draw's weight once the unit is left out: its own over what the unit's rows gave it.
+        given = np.add.reduceat(target.power[part, None] * density, starts, axis=0)
+        log_weights, k_hat = _smoothed(given - log_prior_weights)
         log_weights -= logsumexp(log_weights, axis=1, keepdims=True)
-        pointwise[part] = logsumexp(density + log_weights, axis=1)
-    refitted, unreliable = [], []
-    failing = np.flatnonzero(pareto_k > K_HAT_LIMIT)
-    for i, child in zip(failing, seed.spawn(len(failing)), strict=True):
+        pareto_k[part] = k_hat[place]
+        pointwise[part] = logsumexp(density + log_weights[place], axis=1)
+    refitted, unreliable = list[int](), list[int]()
+    failing = np.unique(unit[pareto_k > K_HAT_LIMIT])
+    for number, child in zip(failing, seed.spawn(len(failing)), strict=True):
+        out = np.flatnonzero(unit == number)
         try:
-            term, reliable = _exact(rows, fit, priors, int(i), np.random.default_rng(child))
+            terms, reliable = _exact(rows, fit, priors, out, np.random.default_rng(child))
         except EstimationError:
             # The others alone do not determine the model: the smoothed term stays, and says so.
-            unreliable.append(int(i))
+            unreliable += out.tolist()
             continue
-        pointwise[i] = term
-        refitted.append(int(i))
+        pointwise[out] = terms
+        refitted += out.tolist()
         if not reliable:
-            unreliable.append(int(i))
+            unreliable += out.tolist()
     return LeftOut(pointwise, pareto_k, tuple(refitted), tuple(unreliable))
+
+
+def _parts(unit: IntArray, most: int) -> Iterator[IntArray]:
+    """Yield places of rows, unit by unit, of whole units and `most` rows where these allow it."""
+    order = np.argsort(unit, kind="stable")
+    ends = np.cumsum(np.bincount(unit))
+    start = 0
+    while start < len(order):
+        fitting = int(np.searchsorted(ends, start + most, "right")) - 1
+        following = int(np.searchsorted(ends, start, "right"))
+        end = int(ends[max(fitting, following)])
+        yield order[start:end]
+        start = end
 
 
 def _smoothed(log_ratios: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -165,18 +184,18 @@ def _smoothed(log_ratios: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _exact(
-    rows: Observations, fit: RobustFit, priors: Priors, left_out: int, rng: np.random.Generator
-) -> tuple[float, bool]:
-    """Return the log density of a row under the posterior of the others, and its reliability."""
-    others = rows.take(np.arange(len(rows)) != left_out)
-    again = fit_robust(others, MODELS[fit.model], priors, start=fit.theta)
+    rows: Observations, fit: RobustFit, priors: Priors, left_out: IntArray, rng: np.random.Generator
+) -> tuple[FloatArray, bool]:
+    """Return log densities of a unit's rows, (m,), by the posterior of the others; if reliable."""
+    stay = np.setdiff1d(np.arange(len(rows)), left_out)
+    again = fit_robust(rows.take(stay), MODELS[fit.model], priors, start=fit.theta)
     # The weights stay those of the full fit, so that all terms speak of the same density.
     target = posterior_of(fit, rows, priors)
     sample = sample_importance(
-        target.only(np.flatnonzero(np.arange(len(rows)) != left_out)),
+        target.only(stay),
         *laplace(again, target),
         rng,
     )
-    density = target.only(np.array([left_out])).pointwise(sample.draws)[:, 0]
-    term = logsumexp(density + _log(sample.weights))
-    return float(term), sample.k_hat < K_HAT_LIMIT
+    density = target.only(left_out).pointwise(sample.draws).T
+    terms: FloatArray = logsumexp(density + _log(sample.weights), axis=1)
+    return terms, sample.k_hat < K_HAT_LIMIT

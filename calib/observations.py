@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -9,13 +10,32 @@ import numpy as np
 from calib.arrays import BoolArray, FloatArray, IntArray
 from calib.geometry.plane import Gaze
 
-
 GROUP_SOURCE = "reference depth of a pose"
 """Source of what rows that share the error of one reference depth add to independent ones."""
 
 
 def _no_shared() -> FloatArray:
     return np.zeros((0, 0, 0))
+
+
+def depth_groups(names: Sequence[Hashable], u_mm: FloatArray) -> tuple[IntArray, FloatArray]:
+    """Return `z_group` and `u_z_group_mm` of rows; both empty where no two share an error.
+
+    Parameters
+    ----------
+    names
+        Of the reference measurement of each row, length n.
+    u_mm
+        Standard uncertainty of that measurement, shape (n,); NaN counts as none.
+    """
+    u = np.nan_to_num(u_mm)
+    if u.any():
+        number: dict[Hashable, int] = {}
+        label = np.array([number.setdefault(name, len(number)) for name in names])
+        u[np.bincount(label)[label] < 2] = 0.0
+        if u.any():
+            return label, u
+    return np.zeros(0, dtype=np.int64), np.zeros(0)
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from calib.geometry.camera import (
     project,
 )
 from calib.geometry.plane import OBSERVABLE
-from calib.observations import Observations
+from calib.observations import Observations, depth_groups
 
 U_PIXEL = 0.1
 """Standard uncertainty of a pixel coordinate that a table gives, px, where nothing better is known.
@@ -251,7 +251,7 @@ def observe(table: GazeTable, setup: Setup, sightings: Sightings | None) -> Obse
     by_common[:, OBSERVABLE.residual] = residual.by_common
     by_common[:, OBSERVABLE.z] = depth.by_common
     x, y = ray.value.T
-    z_group, u_z_group = source.depth_groups()
+    z_group, u_z_group = source.groups()
     return Observations(
         ids=table.ids,
         groups=table.groups,
@@ -374,26 +374,16 @@ class _Source:
         u: FloatArray = np.hypot(self.settings.u_z_group_mm, self.settings.u_z_group_rel * z)
         return u
 
-    def depth_groups(self) -> tuple[IntArray, FloatArray]:
+    def groups(self) -> tuple[IntArray, FloatArray]:
         """Return which rows have one reference measurement, and its error, mm; shape (n,) each.
 
         Stated depths are grouped by `group`, those of image pairs by pair: all that is uncertain
-        of a pair's depth is one error of the rows that take it from there. Both are empty where
-        no two rows share an error.
+        of a pair's depth is one error of the rows that take it from there.
         """
-        table = self.table
-        stated = np.isfinite(table.z_mm)
-        number: dict[tuple[bool, str | None], int] = {}
-        whose = zip(stated.tolist(), table.groups, table.stereo, strict=True)
-        label = np.array(
-            [number.setdefault((z, group if z else pair), len(number)) for z, group, pair in whose],
-            dtype=np.int64,
-        )
-        u = np.nan_to_num(np.where(stated, self._u_group(table.z_mm), self.seen.u_z_mm))
-        u[np.bincount(label)[label] < 2] = 0.0
-        if not u.any():
-            return np.zeros(0, dtype=np.int64), np.zeros(0)
-        return label, u
+        stated = np.isfinite(self.table.z_mm)
+        u = np.where(stated, self._u_group(self.table.z_mm), self.seen.u_z_mm)
+        names = zip(stated.tolist(), self.table.groups, self.table.stereo, strict=True)
+        return depth_groups([(given, g if given else s) for given, g, s in names], u)
 
 
 def direction_by_common(xy: FloatArray, camera: Camera, shared: Shared) -> FloatArray:

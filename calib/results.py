@@ -17,6 +17,7 @@ from calib.calibration_file import FORMAT
 from calib.certificate.inputs import Evidence
 from calib.fit.compare import Comparison, ModelScore
 from calib.fit.convex import ConvexFit
+from calib.fit.group_check import GroupCheck
 from calib.fit.identifiability import Identifiability
 from calib.fit.linear import LinearFit
 from calib.fit.posterior import Posterior
@@ -64,6 +65,8 @@ class GazeResult:
         None if no model could be fitted.
     validation
         None without validation rows.
+    groups
+        Whether rows of a group err together; None if no model could be fitted.
     evidence
         Accuracy at the certified depths; None if no model could be fitted.
     """
@@ -81,6 +84,7 @@ class GazeResult:
     depths: DepthTable | None = None
     average: ModelAverage | None = None
     validation: ValidationResult | None = None
+    groups: GroupCheck | None = None
     evidence: Evidence | None = None
 
 

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from calib.average import doubt_of
+from calib.fit.group_check import GroupCheck
 from calib.fit.identifiability import Identifiability
 from calib.fit.posterior import ESS_GOAL, R_HAT_LIMIT, Posterior
 from calib.fit.priors import NOISE_SCALE
@@ -194,6 +195,8 @@ def gaze_warnings(gaze: GazeResult) -> tuple[str, ...]:
             for score in gaze.comparison.scores
             if score.unreliable
         ]
+    if gaze.groups is not None and gaze.groups.together:
+        found.append(_together(gaze.groups))
     if gaze.average is not None and gaze.depths is not None:
         told = doubt_of(gaze.average, gaze.depths)
         found += [] if told is None else [told]
@@ -209,6 +212,16 @@ def gaze_warnings(gaze: GazeResult) -> tuple[str, ...]:
             f"base/convex is not proved optimal: duality gap {gaze.convex.duality_gap:.1e}"
         )
     return tuple(found)
+
+
+def _together(found: GroupCheck) -> str:
+    """Return what to do where rows of a group err together."""
+    return (
+        f"rows of one group err together (p = {found.probability:.0e} if they were independent, "
+        f"{found.groups} groups). If a group has its reference depth from one measurement, state "
+        f"u_z_group_rel = {found.u_z_rel:.1g} or so in [gaze], or keep one row a group; until then "
+        "the intervals of depth may be too short"
+    )
 
 
 def _off_centre(rows: Observations) -> list[str]:

@@ -6,13 +6,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.geometry.plane import OBSERVABLE
-from calib.instrument import CalibratedInstrument, instrument_from_draws
 from calib.fit.importance import ImportanceSample, sample_importance
 from calib.fit.posterior import laplace, posterior_of
 from calib.fit.priors import Priors
 from calib.fit.robust import RobustFit
-from calib.observations import Observations
+from calib.geometry.plane import OBSERVABLE
+from calib.instrument import CalibratedInstrument, instrument_from_draws
+from calib.observations import Observations, depth_groups
 from calib.observe import RowSettings, Setup
 from calib.simulate.rig import Rig, draw_rig
 from calib.simulate.tables import draw_targets, observe
@@ -67,7 +67,7 @@ def stated(rows: Observations, u_group: float) -> Observations:
     u = u_group * rows.z_mm
     std = rows.std.copy()
     std[:, OBSERVABLE.z] = np.hypot(std[:, OBSERVABLE.z], u)
-    group = np.unique(rows.groups, return_inverse=True)[1].ravel()
+    group, u = depth_groups(rows.groups, u)
     return replace(rows, std=std, z_group=group, u_z_group_mm=u)
 
 

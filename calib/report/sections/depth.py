@@ -74,7 +74,8 @@ def _sources(depths: DepthTable) -> Table:
         note="The sources are independent and add up in quadrature. Parameters: what rows and "
         "priors leave uncertain of them. Intrinsics and pose of the cameras: what their errors do "
         "to a depth by way of the parameters and of the reading together, the later ones as far "
-        f"as the earlier do not explain them. {_groups(depths)}A row with the largest numbers is what to improve.",
+        f"as the earlier do not explain them. {_groups(depths)}A row with the largest numbers is "
+        "what to improve.",
     )
 
 

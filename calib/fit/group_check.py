@@ -3,10 +3,10 @@
 If they do, the groups' means of the residuals scatter more than the residuals within groups lead to
 expect: one-way analysis of variance with random effects (Searle, Casella and McCulloch, Variance
 Components, 1992). The fit has taken away part of either scatter, as many degrees of freedom as the
-trace of its hat matrix in the space of the means and beside it, and errors that all rows share have
-added to them. With these the ratio is nearly distributed as F (Satterthwaite 1946,
-doi 10.2307/3002019). A level for each group, fitted with the parameters, would not do: within a
-group these would follow the errors of the readings, as the derivatives by them contain readings.
+trace of its hat matrix in the space of the means and beside it: with these the ratio is nearly
+distributed as F. Errors that all rows share, and that are stated, count in the means' covariance. A
+level for each group, fitted with the parameters, would not do: within a group these would follow
+the errors of the readings, as the derivatives by them contain readings.
 """
 
 from __future__ import annotations
@@ -127,22 +127,21 @@ def _compared(parts: _Parts, efficiency: float) -> GroupCheck:
     between, within = groups - followed, n - groups - beside
     if between < 1 or within < 1:
         return GroupCheck(groups, n, 1.0, 0.0)
-    common = shared.T @ shared
-    expected = between + float(np.trace(common))
-    freedom = expected**2 / (between + float((common**2).sum()))
     scatter = float((residual**2).sum())
     noise = (float(parts.residual @ parts.residual) - scatter) / within
     if noise <= 0:
         return GroupCheck(groups, n, 1.0, 0.0)
+    along = (shared.T @ residual)[:, 0]
+    scatter -= float(along @ np.linalg.solve(noise * np.eye(len(along)) + shared.T @ shared, along))
     # What is left of a group's error once the fit has followed it.
     rest = 1 - 2 * efficiency * (slope**2).sum(axis=1)
     rest += efficiency * np.einsum("ki,ij,kj->k", slope, hat, slope)
     told = float(_level(parts.depth[:, None], parts.label)[:, 0] ** 2 @ rest)
-    excess = scatter - expected * noise
+    excess = scatter - between * noise
     return GroupCheck(
         groups=groups,
         rows=n,
-        probability=float(fdtrc(freedom, within, scatter / expected / noise)),
+        probability=float(fdtrc(between, within, scatter / between / noise)),
         u_z_rel=float(np.sqrt(excess / told)) if excess > 0 and told > 0 else 0.0,
     )
 

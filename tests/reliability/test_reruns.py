@@ -26,7 +26,15 @@ OBSERVED = {"observations", "sense", "base/linear", "base/convex"}
 ROBUST = {f"{model}/robust" for model in ("base", "axis-offset", "axis-tilt", "encoder")}
 POSTERIOR = {"base/posterior", "axis-offset/posterior"}
 TOLD = {"base/identifiability", "axis-offset/identifiability"}
-AFTER = {"comparison", "instrument", "average", "depths", "validation", "certified depths"}
+AFTER = {
+    "comparison",
+    "groups",
+    "instrument",
+    "average",
+    "depths",
+    "validation",
+    "certified depths",
+}
 SETUPS = {"setup gaze", "setup validation"}
 GAZE = OBSERVED | ROBUST | POSTERIOR | TOLD | AFTER
 ALL = GAZE | SETUPS | {"validation rows"}

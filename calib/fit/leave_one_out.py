@@ -10,7 +10,7 @@ the model is fitted again without the row.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,6 +20,7 @@ from scipy.special import logsumexp
 
 from calib.arrays import FloatArray, IntArray
 from calib.errors import EstimationError
+from calib.fit.density import LogPosterior
 from calib.fit.groups import units
 from calib.fit.importance import K_HAT_LIMIT, ImportanceSample, sample_importance
 from calib.fit.posterior import Posterior, laplace, posterior_of
@@ -130,16 +131,11 @@ def _loo(
     used = np.isfinite(sample.log_weights)
     draws, log_prior_weights = sample.draws[used], sample.log_weights[used]
     pointwise, pareto_k = np.empty(len(rows)), np.empty(len(rows))
-    unit = units(rows)
-    for part in _parts(unit, max(1, CHUNK_ELEMENTS // len(draws))):
-        density = target.only(part).pointwise(draws).T
-        starts, place = np.unique(unit[part], return_index=True, return_inverse=True)[1:]
-        # A draw's weight once the unit is left out: its own over what the unit's rows gave it.
-        given = np.add.reduceat(target.power[part, None] * density, starts, axis=0)
-        log_weights, k_hat = _smoothed(given - log_prior_weights)
-        log_weights -= logsumexp(log_weights, axis=1, keepdims=True)
-        pareto_k[part] = k_hat[place]
-        pointwise[part] = logsumexp(density + log_weights[place], axis=1)
+    unit, most = units(rows), max(1, CHUNK_ELEMENTS // len(draws))
+    for part in _parts(unit, most):
+        blocks = [target.only(part[i : i + most]) for i in range(0, len(part), most)]
+        place = unit[part] - unit[part[0]]
+        pointwise[part], pareto_k[part] = _smoothed_terms(blocks, place, draws, log_prior_weights)
     refitted, unreliable = list[int](), list[int]()
     failing = np.unique(unit[pareto_k > K_HAT_LIMIT])
     for number, child in zip(failing, seed.spawn(len(failing)), strict=True):
@@ -155,6 +151,37 @@ def _loo(
         if not reliable:
             unreliable += out.tolist()
     return LeftOut(pointwise, pareto_k, tuple(refitted), tuple(unreliable))
+
+
+def _smoothed_terms(
+    blocks: Sequence[LogPosterior],
+    place: IntArray,
+    draws: FloatArray,
+    log_prior_weights: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Return left-out densities and k-hat, shape (n,), of the rows of whole units.
+
+    Parameters
+    ----------
+    blocks
+        The rows. More than one block is one unit, of more rows than are held at a time.
+    place
+        Unit of each row, from 0 in rising order, shape (n,).
+    """
+    density = blocks[0].pointwise(draws).T
+    # A draw's weight once a unit is left out: its own over what the unit's rows gave it.
+    given = blocks[0].power[:, None] * density
+    if place[-1] + 1 < len(place):
+        given = np.add.reduceat(given, np.unique(place, return_index=True)[1], axis=0)
+    for block in blocks[1:]:
+        given += block.power @ block.pointwise(draws).T
+    log_weights, k_hat = _smoothed(given - log_prior_weights)
+    log_weights -= logsumexp(log_weights, axis=1, keepdims=True)
+    if len(log_weights) < len(density):
+        log_weights = log_weights[place[: len(density)]]
+    terms = [logsumexp(density + log_weights, axis=1)]
+    terms += [logsumexp(b.pointwise(draws).T + log_weights[0], axis=1) for b in blocks[1:]]
+    return np.concatenate(terms), k_hat[place]
 
 
 def _parts(unit: IntArray, most: int) -> Iterator[IntArray]:

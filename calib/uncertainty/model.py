@@ -2,9 +2,10 @@
 
 The inputs are, in this order: the parameters with what rows and priors leave uncertain of them (one
 multivariate estimate), the shared errors (what the intrinsics and the pose of C2 have wrong, which
-falsifies every reading and has falsified the parameters), and the errors of each reading. The three
-are independent of each other: a budget in them needs correlations between parameters only, and each
-source of shared errors has one line, its effects by both ways added with their signs.
+falsifies every reading and has falsified the parameters; or what several rows have wrong together,
+which has falsified the parameters alone), and the errors of each reading. The three are independent
+of each other: a budget in them needs correlations between parameters only, and each source of
+shared errors has one line, its effects by both ways added with their signs.
 """
 
 from __future__ import annotations

@@ -197,3 +197,23 @@ def test_many_groups_cost_no_more_than_rows_do() -> None:
         took.append(time.process_time() - begin)
     assert 1 <= fit.by_shared.shape[1] <= 4
     assert took[1] < 5 * took[0] + 1
+
+
+def test_units_larger_than_what_is_held_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Property: block by block the left-out densities are the same."""
+    group = np.repeat(np.arange(4), [30, 2, 1, 7])
+    rng = np.random.default_rng(6)
+    rows, _ = simulated(rng, count=40)
+    rows = grouped(off(rows, group, rng), group).take(rng.permutation(40))
+    fit = fit_model(rows, NO_PRIORS, model="base")
+    target = posterior_of(fit, rows, NO_PRIORS)
+    sample = sample_importance(target, *laplace(fit, target), np.random.default_rng(0))
+    found = []
+    for elements in (4_000_000, 8 * len(sample.draws)):
+        monkeypatch.setattr("calib.fit.leave_one_out.CHUNK_ELEMENTS", elements)
+        (left_out,) = leave_one_out(
+            rows, {"base": fit}, {"base": of_sample(sample)}, NO_PRIORS, np.random.SeedSequence(0)
+        ).values()
+        found.append(left_out)
+    np.testing.assert_allclose(found[1].pointwise, found[0].pointwise, rtol=1e-9)
+    np.testing.assert_allclose(found[1].pareto_k, found[0].pareto_k, rtol=1e-6)

@@ -45,7 +45,8 @@ class Observations:
     The error of row i, quantity q (columns of `calib.geometry.plane.OBSERVABLE`) is modelled as
     ``std[i, q] * own + shared[i, q] @ common`` with independent standard-normal ``own`` (one a
     row and quantity) and ``common`` (one vector for all rows: what C1's intrinsics and the stereo
-    extrinsics, estimated once, have wrong).
+    extrinsics, estimated once, have wrong). Rows of one `z_group` have part of their own errors of
+    z in common.
 
     Parameters
     ----------

@@ -6,16 +6,25 @@ Evidence: property (sums of variances, which rows are grouped).
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from calib.arrays import FloatArray
+from calib.dataset.load import load_dataset
 from calib.dataset.readers import read_gaze
 from calib.dataset.tables import GazeTable
 from calib.geometry.plane import OBSERVABLE
 from calib.observations import Observations
-from calib.observe import RowSettings, Setup, Sightings, observe
+from calib.observe import (
+    RowSettings,
+    Setup,
+    Sightings,
+    observe,
+    row_settings,
+    validation_settings,
+)
 from calib.repeats import combine
 
 SETTINGS = RowSettings(
@@ -111,3 +120,29 @@ def test_repeats_of_a_gaze_keep_what_their_group_shares(depths: str) -> None:
     )
     assert rows.u_z_group_mm[1] > 0
     assert rows.z_group[0] == rows.z_group[1]
+
+
+MANIFEST = """format = 1
+name = "poses"
+[encoder]
+resolution_deg = 0.05
+[gaze]
+table = "gaze.csv"
+u_x1c = 0.0002
+u_z_rel = 0.001
+u_z_group_mm = 0.4
+[validation]
+table = "validation.csv"
+u_z_group_rel = 0.003
+"""
+
+
+def test_gaze_and_validation_rows_have_each_their_statement(tmp_path: Path) -> None:
+    (tmp_path / "dataset.toml").write_text(MANIFEST)
+    for name in ("gaze.csv", "validation.csv"):
+        (tmp_path / name).write_text(HEAD + ROWS)
+    dataset = load_dataset(tmp_path)
+    rows, check = row_settings(dataset), validation_settings(dataset)
+    assert (rows.u_z_rel, rows.u_z_group_mm, rows.u_z_group_rel) == (0.001, 0.4, 0.0)
+    assert (check.u_z_rel, check.u_z_group_mm, check.u_z_group_rel) == (0.0, 0.0, 0.003)
+    assert not any("taken as exact" in warning for warning in dataset.warnings)

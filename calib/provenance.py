@@ -75,15 +75,23 @@ def _git(folder: Path, *arguments: str) -> str:
     return done.stdout.strip()
 
 
-def provenance(*, command: str, durations_s: Mapping[str, float]) -> Provenance:
-    """Return the provenance of a run that has just finished."""
+def provenance(
+    *, command: str, durations_s: Mapping[str, float], beside: Mapping[str, str] | None = None
+) -> Provenance:
+    """Return the provenance of a run that has just finished.
+
+    Parameters
+    ----------
+    beside
+        Versions of what was used without being a package of this environment, by name.
+    """
     return Provenance(
         finished=datetime.now(UTC).isoformat(timespec="seconds"),
         version=__version__,
         commit=git_commit(),
         python=platform.python_version(),
         system=f"{platform.system()} {platform.machine()}",
-        packages=direct_packages(),
+        packages=dict(sorted((direct_packages() | dict(beside or {})).items())),
         command=command,
         durations_s=dict(durations_s),
     )

@@ -65,7 +65,7 @@ def _monte_carlo(depths: Sequence[CertifiedDepth]) -> Annex | None:
                 title="Distribution of the measured depth and its 95 % intervals, mm",
                 columns=(
                     "Depth", "Mean", "u", "Symmetric", "Shortest", "Linear",
-                    "Difference of ends", "δ", "Validated", "Trials", "Ends known to",
+                    "Difference of ends", "δ", "Valid", "Trials", "Ends known to",
                 ),
                 rows=tuple(_monte_carlo_row(d.result) for d in depths),
                 note=_numerical_note(depths),

@@ -14,11 +14,26 @@ from calib.certificate.data import CertificateData
 _SUBSCRIPT = re.compile(r"(?<![A-Za-z])([A-Za-zτε])_([a-z])(?![A-Za-z_])")
 _MINUS = re.compile(r"(?<![\w.\-])-(?=[\d∞])")
 
+_INTERVAL = re.compile(r"(?<=\d) to (?=[\d−-])")
+"""Of two ends that stay in one line."""
+
+_LONG_WORD = re.compile(r"(?<!\S)(?![0-9a-f]{64}(?!\S))\S{33,}")
+"""A word that could push a table off the page, which may break here and there; no digest.
+
+CSS could break it anywhere, but then the widths of a table cost a layout of each letter.
+"""
+
+_PIECE = re.compile(r"\S{16}(?=\S)")
+_BREAK = "\N{ZERO WIDTH SPACE}"
+
 
 def _number(text: str) -> Markup:
-    """Return a number with a true minus sign, and symbols with their subscripts."""
-    safe = _MINUS.sub("−", str(escape(text)))
-    return Markup(_SUBSCRIPT.sub(r"\1<sub>\2</sub>", safe))  # noqa: S704 - escaped two lines above
+    """Return a text with true minus signs, subscripts, and lines that break at the right places."""
+    text = _INTERVAL.sub("\N{NO-BREAK SPACE}to\N{NO-BREAK SPACE}", text)
+    text = _LONG_WORD.sub(lambda word: _PIECE.sub(rf"\g<0>{_BREAK}", word[0]), text)
+    safe = str(escape(text))
+    safe = _MINUS.sub("−", safe).replace(_BREAK, "<wbr>")
+    return Markup(_SUBSCRIPT.sub(r"\1<sub>\2</sub>", safe))  # noqa: S704 - escaped above
 
 
 def _environment() -> Environment:

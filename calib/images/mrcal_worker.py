@@ -12,6 +12,7 @@ outlier rejection, the bow of the board.
 from __future__ import annotations
 
 import json
+import subprocess
 import sys
 from pathlib import Path
 from typing import Any
@@ -27,6 +28,9 @@ SEED_DISTORTION = 1e-6
 FREE_GAIN = 10.0
 """Twice the gain in log likelihood that a fit without regularisation must bring: three parameters
 that are not needed bring 3, and more than 10 in 2 % of cases."""
+
+SYSTEM_PACKAGES = Path("/usr/lib/python3/dist-packages")
+"""Where Debian and its kin install mrcal; mrcal 2.2 does not tell its version."""
 
 CORE = 4
 """Leading intrinsics fx, fy, cx, cy, which every lens model of mrcal has."""
@@ -238,9 +242,23 @@ def solve(mrcal: Any, request: dict[str, Any], header: dict[str, Any]) -> dict[s
         frames=inputs[problem.frames_key],
         rejected=(weights <= 0) & ~missing,
         warp=np.zeros(0) if warp is None else warp,
-        version=np.array(str(getattr(mrcal, "__version__", "unknown"))),
+        version=np.array(version_of(mrcal)),
     )
     return reply
+
+
+def version_of(mrcal: Any) -> str:
+    """Return what mrcal says, or the system's package manager, or "unknown"."""
+    if hasattr(mrcal, "__version__"):
+        return str(mrcal.__version__)
+    if SYSTEM_PACKAGES not in Path(mrcal.__file__).parents:
+        return "unknown"
+    query = ["dpkg-query", "--show", "--showformat=${Version}", "python3-mrcal"]
+    try:
+        told = subprocess.run(query, capture_output=True, text=True, check=True)  # noqa: S603 - fixed
+    except (OSError, subprocess.CalledProcessError):
+        return "unknown"
+    return f"{told.stdout} (python3-mrcal of the system)"
 
 
 def main(folder: Path) -> int:

@@ -17,7 +17,7 @@ from calib.gates import Gate
 from calib.images.checks import fit_gate, gate
 from calib.images.mrcal_call import MrcalMissingError
 from calib.images.pairs import PairStart, start_pairs
-from calib.images.poses import pose_matrix, pose_vector
+from calib.images.poses import pose_matrix, pose_vector, rotation
 from calib.images.stereo_solve import (
     CameraPair,
     StereoSolve,
@@ -39,6 +39,9 @@ to 1 to 8 % (Xu and Wang, Table 2)."""
 BOARD_POSE_SIGMAS = 5.0
 """Of 100 normal errors the largest is 2.6 standard deviations; corners of real boards are less
 normal than that."""
+
+ROLL_LIMIT_RAD = float(np.deg2rad(45.0))
+"""Beyond, C2's centre column is nearer to a row of C1. The model's roll is a degree or two."""
 
 GIVEN_SIGMA_PX = 0.1
 """Standard deviation of a corner coordinate where 1T2 is given and no solve tells it."""
@@ -111,12 +114,12 @@ def stereo_reference(
     ------
     EstimationError
         If there are too few pairs, or they cannot be pairs of this rig: a board miscounted, C1 and
-        C2 swapped.
+        C2 swapped, C2 upside down.
     """
     start = start_pairs(corners, board, cameras=rig.cameras)
     solves, backend_gates = _solve(start, board, rig, seed)
     record = solves[0]
-    _check_order(record.pose_12)
+    _check_mounting(record.pose_12)
     used = tuple(stems[i] for i in start.pairs)
     targets = find_targets(
         start.pixels,
@@ -167,10 +170,10 @@ def given_reference(
     Raises
     ------
     EstimationError
-        If C1 and C2 are swapped, or the rays of a pair do not meet.
+        If C1 and C2 are swapped, C2 is upside down, or the rays of a pair do not meet.
     """
     pose_12 = pose_vector(transform_12)
-    _check_order(pose_12)
+    _check_mounting(pose_12)
     edge = sum(len(c) for c in rig.covariances)
     shared = np.zeros((edge + 6, edge + 6))
     for first, covariance in zip((0, len(rig.covariances[0])), rig.covariances, strict=True):
@@ -252,13 +255,23 @@ def _solve(
     return (record, plain, joint), (agreement, _intrinsics_gate(record, joint))
 
 
-def _check_order(pose_12: FloatArray) -> None:
-    """Raise EstimationError unless C2 stands at +X of C1."""
+def _check_mounting(pose_12: FloatArray) -> None:
+    """Raise EstimationError unless C2 stands at +X of C1, upright."""
     x = float(pose_12[3])
     if x <= 0:
         raise EstimationError(
             f"stereo: C2 stands at X = {x:.1f} mm of C1, on its left; C1 and C2 are swapped (C2 is "
-            "the turning camera, at +X): exchange [stereo] c1 and c2, and [cameras] with them"
+            "the turning camera, at +X): exchange [stereo] c1 and c2, and [cameras] with them. "
+            "Where the turning camera does stand on the left: turn all pictures of both cameras by "
+            "180 deg, and replace alpha2_deg by 180 - alpha2_deg everywhere"
+        )
+    along = rotation(pose_12[:3])
+    roll = float(np.arctan2(along[1, 0], along[1, 1]))
+    if abs(roll) > ROLL_LIMIT_RAD:
+        raise EstimationError(
+            f"stereo: C2's pictures stand turned by {np.degrees(roll):.0f} deg against C1's: turn "
+            "all pictures of C2 (intrinsics, pairs, rows, sweep) until what is up in C1 is up in "
+            "C2, and state what follows from pixels (model, u2_px) for the turned ones"
         )
 
 
@@ -270,8 +283,8 @@ def _agreement_gate(record: StereoSolve, plain: StereoSolve) -> Gate:
         "stereo-backends",
         chi2 <= AGREEMENT_CHI2,
         f"mrcal and OpenCV differ by {_difference(record, plain)}, chi2 {chi2:.1f} of 6; rms "
-        f"{record.rms_px:.3f} and {plain.rms_px:.3f} px; mrcal finds the board bowed by {x:.2f} mm "
-        f"along x and {y:.2f} mm along y, OpenCV takes it to be flat",
+        f"{record.rms_px:.3f} and {plain.rms_px:.3f} px; mrcal finds the board bowed by "
+        f"{x:z.2f} mm along x and {y:z.2f} mm along y, OpenCV takes it to be flat",
         remedy="if the bow is large use a stiffer board, else look for misread boards in the pairs",
     )
 
@@ -309,7 +322,7 @@ def _target_gates(targets: Targets) -> tuple[Gate, ...]:
             "stereo-board-pose",
             abs(apart) <= BOARD_POSE_SIGMAS,
             f"triangulated depth and board pose in C1 differ most in pair {targets.stems[far]}: "
-            f"{depth:.2f} and {other:.2f} mm, {apart:.1f} standard deviations (limit "
+            f"{depth:.2f} and {other:.2f} mm, {apart:z.1f} standard deviations (limit "
             f"{BOARD_POSE_SIGMAS:g})",
             remedy="check square_mm, 1T2 and the intrinsics",
         ),

@@ -280,14 +280,14 @@ def _gates(result: SweepResult, span: float, stated_rad: float) -> tuple[Gate, .
         gate(
             "sweep-eccentricity",
             result.eccentricity_std_mm <= ECCENTRICITY_STD_LIMIT_MM,
-            f"eccentricity {result.eccentricity_mm:.2f} mm, standard uncertainty "
+            f"eccentricity {result.eccentricity_mm:z.2f} mm, standard uncertainty "
             f"{result.eccentricity_std_mm:.2f} mm (limit {ECCENTRICITY_STD_LIMIT_MM:g})",
             remedy="sweep further, or before a nearer or larger board",
         ),
         gate(
             "sweep-encoder",
             abs(result.encoder_scale) <= SCALE_LIMIT,
-            f"encoder scale error {100 * result.encoder_scale:.2f} %, standard uncertainty "
+            f"encoder scale error {100 * result.encoder_scale:z.2f} %, standard uncertainty "
             f"{100 * result.encoder_scale_std:.2f} % (limit {100 * SCALE_LIMIT:.0f})",
             remedy="check the unit of alpha2_deg, steps per turn and gear ratio",
         ),

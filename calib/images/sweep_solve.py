@@ -209,7 +209,7 @@ def _in_the_right_sense(problem: SweepProblem) -> FloatArray:
             f"sweep: alpha2 counts the wrong way round: the images fit to {other:.2f} px with the "
             f"sign of the encoder reversed, to {rms:.1f} px as it stands; alpha2 must rise as C2 "
             "turns from -X (towards C1) to +Z (ahead): replace alpha2_deg by 180 - alpha2_deg in "
-            "every table"
+            "every table; or, if C2 hangs upside down, turn all its pictures by 180 deg instead"
         )
     return x
 

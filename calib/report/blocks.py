@@ -39,13 +39,17 @@ class Cell:
 
 @dataclass(frozen=True)
 class Table:
-    """A table: `head` names the columns, with units; `sortable` where rows have no order."""
+    """A table: `head` names the columns, with units; `sortable` where rows have no order.
+
+    A `dense` one has so many columns that it takes smaller letters to show them all.
+    """
 
     caption: Text
     head: tuple[Text, ...]
     rows: tuple[tuple[Cell, ...], ...]
     note: Text = ""
     sortable: bool = False
+    dense: bool = False
     kind: Literal["table"] = field(default="table", init=False)
 
 
@@ -187,6 +191,7 @@ def table(
     *,
     note: Text = "",
     sortable: bool = False,
+    dense: bool = False,
 ) -> Table:
     """Return a table.
 
@@ -197,4 +202,4 @@ def table(
     """
     if any(len(row) != len(head) for row in rows):
         raise ValueError(f"table {caption!r}: a row does not fit its {len(head)} columns")
-    return Table(caption, tuple(head), tuple(map(tuple, rows)), note, sortable)
+    return Table(caption, tuple(head), tuple(map(tuple, rows)), note, sortable, dense)

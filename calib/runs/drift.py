@@ -179,11 +179,12 @@ def _depth_changes(first: Run, other: Run) -> list[tuple[float, float, float]]:
     z = np.linspace(low, high, DEPTHS)
     points = np.column_stack([np.zeros((DEPTHS, 2)), z])
     gaze = gaze_at(first.measuring.instrument.theta, points)
-    after = depth(other.measuring.instrument.theta, gaze)
+    # Both by the same steps: of equal runs the difference is 0, without errors of rounding.
+    before, after = (depth(run.measuring.instrument.theta, gaze) for run in (first, other))
     variance = sum((_depth_variance(run, gaze) for run in (first, other)), np.zeros(DEPTHS))
     return [
         (float(at), float(difference), float(np.sqrt(v)))
-        for at, difference, v in zip(z, after - z, variance, strict=True)
+        for at, difference, v in zip(z, after - before, variance, strict=True)
     ]
 
 

@@ -65,9 +65,14 @@ def _changes(drift: Drift) -> list[list[str]]:
     for c in drift.changes:
         remark = "significant" if c.significant else ""
         note = "; ".join(part for part in (remark, c.note) if part)
-        change = f"{c.difference:+.3g} {c.unit}" if c.unit != "1" else f"{c.difference:+.3g}"
-        rows.append([c.what, change, f"{c.std:.2g}", f"{c.sigmas:+.1f}", note])
+        change = _signed(c.difference, ".3g") + (f" {c.unit}" if c.unit != "1" else "")
+        rows.append([c.what, change, f"{c.std:.2g}", _signed(c.sigmas, ".1f"), note])
     return rows
+
+
+def _signed(value: float, form: str) -> str:
+    """Return a difference with its sign; none is a plain 0."""
+    return format(value, f"+z{form}") if value else "0"
 
 
 def text(found: Sequence[Table]) -> str:

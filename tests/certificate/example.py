@@ -66,41 +66,44 @@ HOSTILE = (
 )
 
 
-def hostile() -> CertificateInputs:
+def endless() -> CertificateInputs:
+    """The hostile manifest with words that have no end in place of the attacks."""
+    return hostile("x" * 300)
+
+
+def hostile(text: str = HOSTILE) -> CertificateInputs:
     """A manifest, gates and names that attack every form."""
     plain = inputs()
     administration = Administration(
         **{
-            name: HOSTILE
+            name: text
             for name, value in vars(STATED).items()
             if isinstance(value, str | None) and name not in ("date", "received", "country")
         }
     )
-    checks = tuple(replace(c, name=HOSTILE) for c in plain.evidence.checks)
-    lengths = tuple(replace(e, name=HOSTILE) for e in plain.evidence.lengths)
+    checks = tuple(replace(c, name=text) for c in plain.evidence.checks)
+    lengths = tuple(replace(e, name=text) for e in plain.evidence.lengths)
     evidence = replace(
         plain.evidence,
         checks=checks,
         lengths=lengths,
-        check_reference=HOSTILE,
-        not_certified=(NotCertified(3000.0, HOSTILE),),
+        check_reference=text,
+        not_certified=(NotCertified(3000.0, text),),
     )
     return replace(
         plain,
         administration=administration,
         provenance=replace(
             plain.provenance,
-            dataset_name=HOSTILE,
-            dataset_title=HOSTILE,
-            citation=HOSTILE,
-            commit=HOSTILE,
+            dataset_name=text,
+            dataset_title=text,
+            citation=text,
+            commit=text,
         ),
-        calibration=replace(
-            plain.calibration, reference=HOSTILE, outliers=(HOSTILE,), intrinsics=HOSTILE
-        ),
+        calibration=replace(plain.calibration, reference=text, outliers=(text,), intrinsics=text),
         evidence=evidence,
-        gates=(Gate(HOSTILE, True, HOSTILE),),
-        warnings=(HOSTILE,),
+        gates=(Gate(text, True, text),),
+        warnings=(text,),
     )
 
 

@@ -14,7 +14,7 @@ from calib.certificate.build import build_certificate
 from calib.certificate.html import render_html
 from calib.certificate.inputs import CertificateInputs
 
-VOID = {"meta", "img", "br", "col"}
+VOID = {"meta", "img", "br", "col", "wbr"}
 
 
 class _Page(HTMLParser):
@@ -94,6 +94,14 @@ def test_numbers_print_with_a_true_minus_and_symbols_with_subscripts() -> None:
     assert "−21.00" in html
     assert "L<sub>b</sub>" in html
     assert "AG-20260201" in html  # a hyphen stays one
+
+
+def test_lines_break_in_endless_words_but_not_in_digests_and_intervals() -> None:
+    inputs = example.endless()
+    html = _render(inputs)
+    assert "xxx<wbr>xxx" in html
+    assert f'<td class="w" dir="auto">{inputs.provenance.dataset_sha256}</td>' in html
+    assert "\N{NO-BREAK SPACE}to\N{NO-BREAK SPACE}" in html
 
 
 def test_a_real_browser_opens_it_offline_without_complaint(tmp_path: Path) -> None:

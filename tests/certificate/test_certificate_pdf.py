@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.abc
+import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -17,7 +18,8 @@ from calib.certificate.forms import Forms, render_forms
 
 @cache
 def _forms(kind: str) -> Forms:
-    return render_forms(example.hostile() if kind == "hostile" else example.inputs())
+    made = {"hostile": example.hostile, "endless": example.endless, "plain": example.inputs}
+    return render_forms(made[kind]())
 
 
 def _poppler(tool: str, forms: Forms, folder: Path, *arguments: str) -> str:
@@ -58,6 +60,18 @@ def test_two_pages_hold_what_the_auditor_needs(tmp_path: Path) -> None:
     assert pages[2].lstrip().startswith("Calibration certificate")
     assert "Annex A" in pages[2]
     assert "Annex" not in front
+
+
+def test_endless_words_stay_on_the_page(tmp_path: Path) -> None:
+    boxes = _poppler("pdftotext", _forms("endless"), tmp_path, "-bbox")
+    sheet = float(re.findall(r'<page width="([\d.]+)"', boxes)[0])
+    ends = [float(x) for x in re.findall(r'xMax="([\d.]+)"', boxes)]
+    assert boxes.count("x" * 20) > 20
+    assert max(ends) < sheet - RIGHT_MARGIN_PT
+
+
+RIGHT_MARGIN_PT = 14 * 72 / 25.4
+"""One millimetre less than the margin of the page: the box of an italic may lean out."""
 
 
 def test_it_is_tagged_and_names_itself(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shutil
+import tomllib
 from dataclasses import replace
 from pathlib import Path
 
@@ -42,6 +43,13 @@ def chain(rig: Path, tmp_path_factory: pytest.TempPathFactory) -> Chain:
 
 def test_all_gates_pass(chain: Chain) -> None:
     assert [gate for gate in chain.calibration.gates if not gate.passed] == []
+
+
+def test_run_tells_the_version_of_mrcal(chain: Chain) -> None:
+    """It belongs to no package of this environment."""
+    software = tomllib.loads((chain.out / "run.toml").read_text())["software"]
+    told = {found.mrcal_version for found in chain.calibration.images.intrinsics.values()}
+    assert told == {software["packages"]["mrcal"]}
 
 
 def test_parameters_within_their_uncertainty(chain: Chain) -> None:

@@ -4,11 +4,13 @@ on purpose. Needs mrcal, which a machine without it says in the first failure.""
 from __future__ import annotations
 
 import os
+import re
 import signal
 import sys
 import threading
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import board_scenes as scenes
 import cv2
@@ -235,3 +237,12 @@ def test_too_few_views_are_refused(exact: scenes.Pairs) -> None:
     )
     with pytest.raises(EstimationError, match="2 views"):
         solve([few], scenes.BOARD, lens_model=OPENCV5, seed=0)
+
+
+def test_version_is_told_as_far_as_it_is_known(exact: scenes.Pairs) -> None:
+    elsewhere = SimpleNamespace(__file__="/opt/mrcal/mrcal/__init__.py")
+    assert mrcal_worker.version_of(SimpleNamespace(__version__="2.5")) == "2.5"
+    assert mrcal_worker.version_of(elsewhere) == "unknown"
+    found = scenes.noisy(np.random.default_rng(2), exact.c1, SIGMA_PX)
+    solution = solve([found], scenes.BOARD, lens_model=OPENCV5, seed=0)
+    assert re.match(r"\d+\.\d+", solution.version), solution.version

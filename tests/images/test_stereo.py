@@ -14,7 +14,7 @@ from calib.errors import EstimationError
 from calib.geometry.camera import camera_from_vector, intrinsic_vector
 from calib.images import mrcal_call, mrcal_process
 from calib.images.pairs import start_pairs
-from calib.images.poses import invert_pose, pose_matrix, pose_vector, transform
+from calib.images.poses import invert_pose, pose_matrix, pose_vector, rotation, transform
 from calib.images.stereo import given_reference, stereo_reference
 from calib.images.stereo_solve import CameraPair, joint_covariance, solve_mrcal, solve_opencv
 from calib.images.triangulate import find_targets, position_on_board, triangulate
@@ -253,6 +253,20 @@ def test_bowed_board_is_named_as_the_reason() -> None:
     assert reference.solves[1].rms_px > 2 * SIGMA_PX
 
 
+def test_a_flat_board_has_no_bow_of_minus_nought() -> None:
+    rng = np.random.default_rng(1)
+    scene = scenes.pairs(rng, 14)
+    found = [scenes.noisy(rng, corners, 0.002) for corners in (scene.c1, scene.c2)]
+    reference = stereo_reference(
+        (found[0], found[1]), scenes.BOARD, KNOWN, stems=scene.c1.images, seed=0
+    )
+    bow = reference.solves[0].board_warp_mm
+    assert bow is not None
+    assert -0.005 < min(bow) < 0
+    agreement = next(g for g in reference.gates if g.name == "stereo-backends")
+    assert "bowed by 0.00 mm along x and 0.00 mm along y" in agreement.detail
+
+
 def test_pairs_read_from_either_end_are_put_right() -> None:
     rng = np.random.default_rng(5)
     board = replace(scenes.BOARD, columns=8)
@@ -329,6 +343,31 @@ def test_swapped_cameras_are_named(exact: scenes.Pairs) -> None:
     swapped = CameraPair(KNOWN.cameras[::-1], KNOWN.covariances)
     with pytest.raises(EstimationError, match="C1 and C2 are swapped"):
         stereo_reference((exact.c2, exact.c1), scenes.BOARD, swapped, stems=exact.c1.images, seed=0)
+
+
+@pytest.mark.parametrize("roll_deg", [90, 180, -90])
+def test_a_camera_mounted_on_its_side_or_upside_down_is_named(roll_deg: int) -> None:
+    mounted = scenes.matrix(scenes.POSE_12)
+    mounted[:3, :3] @= rotation(np.array([0, 0, np.deg2rad(roll_deg)]))
+    none = Corners((), np.empty((0, 54, 2)), (), (1280, 960))
+    with pytest.raises(EstimationError, match=r"turned by -?\d+ deg against C1's") as caught:
+        given_reference((none, none), scenes.BOARD, KNOWN, stems=(), transform_12=mounted)
+    found = int(str(caught.value).split("turned by ")[1].split(" deg")[0])
+    # The pose has a roll of its own, 0.015 rad.
+    assert (found - roll_deg + 180) % 360 - 180 == pytest.approx(0, abs=2)
+
+
+def test_upside_down_pictures_of_c2_are_named_by_the_pairs(exact: scenes.Pairs) -> None:
+    width, height = exact.c2.image_size
+    upside = replace(exact.c2, pixels=np.array([width - 1, height - 1]) - exact.c2.pixels)
+    matrix = scenes.C2.matrix.copy()
+    matrix[:2, 2] = np.array([width - 1, height - 1]) - matrix[:2, 2]
+    distortion = scenes.C2.distortion * [1, 1, -1, -1, 1]
+    rig = CameraPair(
+        (scenes.C1, replace(scenes.C2, matrix=matrix, distortion=distortion)), KNOWN.covariances
+    )
+    with pytest.raises(EstimationError, match=r"turned by (-?179|180) deg against C1's"):
+        stereo_reference((exact.c1, upside), scenes.BOARD, rig, stems=exact.c1.images, seed=0)
 
 
 @pytest.mark.parametrize("size", [(6, 9), (27, 2)])

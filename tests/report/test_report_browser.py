@@ -82,6 +82,21 @@ def test_the_page_is_as_wide_as_its_window(browser: Browser, width: int) -> None
     assert browser.evaluate("document.documentElement.scrollWidth") <= width
 
 
+def test_every_table_is_seen_whole_in_a_window_of_1100_px(browser: Browser) -> None:
+    browser.call(
+        "Emulation.setDeviceMetricsOverride",
+        width=1100,
+        height=900,
+        deviceScaleFactor=1,
+        mobile=False,
+    )
+    scrolled = browser.evaluate(
+        "Array.from(document.querySelectorAll('.scroll'))"
+        ".filter(s => s.scrollWidth > s.clientWidth).map(s => s.ariaLabel)"
+    )
+    assert scrolled == []
+
+
 def test_is_read_without_scripts(report: Path) -> None:
     with chromium("--blink-settings=scriptEnabled=false") as plain:
         plain.go(report.as_uri())

@@ -95,6 +95,15 @@ def test_tables_say_the_same_as_text_and_html() -> None:
     assert "http" not in page
 
 
+def test_a_run_beside_itself_has_changed_by_a_plain_nought() -> None:
+    same = made(TRUTH)
+    found = drift(same, same)
+    assert {change.difference for change in found.changes} == {0.0}
+    (_, rows) = tables([same, same], [found])[-1]
+    assert {row[1].split()[0] for row in rows[1:]} == {"0"}
+    assert {row[3] for row in rows[1:]} == {"0"}
+
+
 def compare(*arguments: str) -> int:
     parser = argparse.ArgumentParser()
     add_arguments(parser)

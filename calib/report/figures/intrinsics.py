@@ -7,16 +7,15 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
-from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from calib.arrays import BoolArray, FloatArray
 from calib.images.intrinsics import Intrinsics
 from calib.images.intrinsics_maps import LensDifference
+from calib.report.figures.maps import draw_arrows, draw_field, draw_map, imager, map_figure
 from calib.report.plotting import (
     BLACK,
     BLUE,
-    GREY,
     MANY_POINTS,
     Drawing,
     Margins,
@@ -28,16 +27,13 @@ from calib.report.plotting import (
     thinned,
 )
 
-MAPS = Margins(left=0.55, right=0.3, top=0.3, between=0.25)
+CLOUD = Margins(left=0.58, right=0.3, top=0.3, between=0.25)
 
 ARROWS = 400
 """Residual arrows drawn at most; more make a carpet."""
 
 ARROW_SHARE = 0.03
 """Share of the imager's width that an arrow of the root mean square length takes."""
-
-WELL_FITTED = "viridis"
-"""Perceptually even, and readable in grey."""
 
 
 @in_house_style
@@ -49,7 +45,7 @@ def draw_coverage(i: Intrinsics, corners: FloatArray) -> Drawing:
     corners
         Of the used views, px, shape (..., 2); NaN where missing.
     """
-    figure = new_figure(height_in=2.9, margins=MAPS)
+    figure = map_figure(i.camera.image_size)
     seen, sure = figure.subplots(1, 2)
     at = corners[np.isfinite(corners).all(axis=-1)]
     width, height = i.camera.image_size
@@ -59,16 +55,15 @@ def draw_coverage(i: Intrinsics, corners: FloatArray) -> Drawing:
         empty,
         cmap=ListedColormap(["#f3d3bd"]),
         extent=(-0.5, width - 0.5, height - 0.5, -0.5),
-        interpolation="nearest",
+        interpolation="none",
     )
     seen.plot(*at.T, ".", color=BLUE, ms=1.6, rasterized=len(at) > MANY_POINTS)
     seen.set_title("Corners used; cells without any shaded")
     m = i.uncertainty
-    _map(figure, sure, m.pixels, m.std_px, m.covered, "standard deviation / px")
-    sure.set_title("Projection uncertainty")
-    for axes in (seen, sure):
-        _imager(axes, i)
-    sure.set_ylabel("")
+    draw_map(sure, m.pixels, m.std_px, m.covered)
+    sure.set_title("Projection uncertainty / px")
+    imager(seen, i.camera.image_size)
+    imager(sure, i.camera.image_size, first=False)
     covered = m.std_px[m.covered & np.isfinite(m.std_px)]
     return Drawing(
         figure,
@@ -83,27 +78,19 @@ def draw_coverage(i: Intrinsics, corners: FloatArray) -> Drawing:
 @in_house_style
 def draw_difference(i: Intrinsics, difference: LensDifference) -> Drawing:
     """Draw how two calibrations of the camera differ over the imager."""
-    figure = new_figure(height_in=2.9, margins=MAPS)
+    figure = map_figure(i.camera.image_size)
     axes, scaled = figure.subplots(1, 2)
     d = difference
     length = np.linalg.norm(d.difference_px, axis=-1)
-    _map(figure, axes, d.pixels, length, d.covered, "length / px")
-    axes.quiver(
-        *d.pixels[d.covered].T,
-        *d.difference_px[d.covered].T,
-        color="white",
-        angles="xy",
-        pivot="mid",
-        width=0.004,
-    )
-    axes.set_title("Difference")
+    draw_map(axes, d.pixels, length, d.covered)
+    draw_field(axes, d.pixels, d.difference_px, d.covered)
+    axes.set_title("Length of the difference / px")
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = length / d.expected_px
-    _map(figure, scaled, d.pixels, ratio, d.covered, "difference / expected", top=3.0)
+    draw_map(scaled, d.pixels, ratio, d.covered, top=3.0)
     scaled.set_title("Difference over expected")
-    for a in (axes, scaled):
-        _imager(a, i)
-    scaled.set_ylabel("")
+    imager(axes, i.camera.image_size)
+    imager(scaled, i.camera.image_size, first=False)
     return Drawing(
         figure,
         f"Camera {i.name.upper()}: {d.second} less {d.first}. Where corners are, the difference is "
@@ -130,23 +117,15 @@ def draw_residuals(i: Intrinsics, corners: FloatArray) -> Drawing:
     corners
         Of the used views, px, shape (views, corners, 2).
     """
-    figure = new_figure(height_in=3.1, margins=MAPS)
+    figure = new_figure(height_in=3.1, margins=CLOUD)
     arrows, cloud = figure.subplots(1, 2, width_ratios=(1.5, 1.0))
     kept = np.isfinite(i.selected.residuals).all(axis=-1)
     at, off = corners[kept], i.selected.residuals[kept]
     picked = thinned(len(at), ARROWS)
-    scale = max(i.selected.rms_px, 1e-6) / (ARROW_SHARE * i.camera.image_size[0])
-    arrows.quiver(
-        *at[picked].T,
-        *off[picked].T,
-        color=BLUE,
-        angles="xy",
-        scale_units="xy",
-        scale=scale,
-        width=0.0025,
-    )
-    arrows.set_title(f"Residuals, {1 / scale:.0f} times enlarged")
-    _imager(arrows, i)
+    enlarged = ARROW_SHARE * i.camera.image_size[0] / max(i.selected.rms_px, 1e-6)
+    draw_arrows(arrows, at[picked], off[picked], enlarged=enlarged, colour=BLUE)
+    arrows.set_title(f"Residuals, {enlarged:.0f} times enlarged")
+    imager(arrows, i.camera.image_size)
     _cloud(cloud, off, i.selected.rms_px)
     return Drawing(
         figure,
@@ -204,48 +183,6 @@ def draw_cross_validation(i: Intrinsics) -> Drawing:
             **{f"{lens}_px": rms for lens, rms in zip(v.lenses, v.view_rms_px, strict=True)},
         },
     )
-
-
-def _imager(axes: Axes, i: Intrinsics) -> None:
-    width, height = i.camera.image_size
-    axes.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5), aspect="equal")
-    axes.set(xlabel="u / px", ylabel="v / px")
-    axes.grid(visible=False)
-
-
-def _map(
-    figure: Figure,
-    axes: Axes,
-    pixels: FloatArray,
-    values: FloatArray,
-    covered: BoolArray,
-    label: str,
-    *,
-    top: float | None = None,
-) -> None:
-    """Draw values at nodes of the imager; nodes without corners nearby are crossed out.
-
-    The colours span what is found where corners are, unless `top` says where they end.
-    """
-    inside = values[covered & np.isfinite(values)]
-    limit = top if top is not None else float(inside.max()) if len(inside) else 1.0
-    low = 0.0 if top is not None else float(inside.min()) if len(inside) else 0.0
-    half = (pixels[-1, -1] - pixels[0, 0]) / (2 * np.array(values.shape[::-1]) - 2)
-    left, top_edge = pixels[0, 0] - half
-    right, bottom = pixels[-1, -1] + half
-    mesh: Any = axes.imshow(
-        np.ma.masked_invalid(values),
-        cmap=WELL_FITTED,
-        vmin=low,
-        vmax=max(limit, low + 1e-9),
-        extent=(left, right, bottom, top_edge),
-        interpolation="nearest",
-    )
-    axes.plot(*pixels[~covered].T, "x", color="white", ms=3, mew=0.8)
-    beyond = bool((np.nan_to_num(values, nan=-np.inf) > limit).any())
-    bar = figure.colorbar(mesh, ax=axes, shrink=0.9, extend="max" if beyond else "neither")
-    bar.set_label(label, fontsize=8)
-    bar.outline.set_edgecolor(GREY)
 
 
 def _columns(

@@ -4,12 +4,20 @@ from __future__ import annotations
 
 import corner
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
+from matplotlib.axis import Axis
+from matplotlib.ticker import MaxNLocator, ScalarFormatter
 
+from calib.arrays import FloatArray
 from calib.fit.posterior import Posterior
 from calib.report.numbers import factor, plain_symbol, plus_minus, unit
-from calib.report.plotting import BLACK, Drawing, in_house_style, look, thinned
+from calib.report.plotting import (
+    BLACK,
+    Drawing,
+    empty_figure,
+    in_house_style,
+    look,
+    thinned,
+)
 
 DRAWS = 16_000
 """Draws of the histograms at most: more change no pixel."""
@@ -29,12 +37,11 @@ def draw_corner(posterior: Posterior) -> Drawing:
     draws = posterior.flat[thinned(len(posterior.flat), DRAWS)] * scale
     labels = [_label(name) for name in names]
     size = min(1.1 + 1.25 * len(names), 8.6)
-    figure = Figure(figsize=(size, size))
-    FigureCanvasAgg(figure)
+    figure = empty_figure(height_in=size, width_in=size)
     corner.corner(
         draws,
         fig=figure,
-        range=[DRAWN] * len(names),
+        range=_ranges(draws),
         labels=labels,
         bins=32,
         smooth=1.2,
@@ -53,6 +60,10 @@ def draw_corner(posterior: Posterior) -> Drawing:
     for axes in figure.axes:
         axes.grid(visible=False)
         axes.tick_params(labelsize=7)
+    for k in range(len(names)):
+        _ticks(panels[-1, k].xaxis)
+        if k:
+            _ticks(panels[k, 0].yaxis)
     told = "; ".join(
         f"{name} {plus_minus(value, u, factor=factor(name))} {unit(name)}".rstrip()
         for name, value, u in zip(
@@ -66,6 +77,21 @@ def draw_corner(posterior: Posterior) -> Drawing:
         f"correlation: {correlation:+.3f}, of {pair[0]} and {pair[1]}.",
         dict(zip(names, posterior.flat[thinned(len(posterior.flat), DATA_DRAWS)].T, strict=True)),
     )
+
+
+def _ranges(draws: FloatArray) -> list[tuple[float, float]]:
+    """Return the ends of each axis, for draws of shape (m, names)."""
+    tails = (1 - DRAWN) / 2
+    low, high = np.quantile(draws, [tails, 1 - tails], axis=0)
+    # A chain that never moved has no width: its gate has failed, and its figure may show it.
+    high = np.maximum(high, low + 1e-9 * np.maximum(np.abs(low), 1.0))
+    return list(zip(low.tolist(), high.tolist(), strict=True))
+
+
+def _ticks(axis: Axis) -> None:
+    """Write whole numbers at the ticks, no difference from one that stands elsewhere."""
+    axis.set_major_locator(MaxNLocator(3, prune="lower"))
+    axis.set_major_formatter(ScalarFormatter(useOffset=False))
 
 
 DATA_DRAWS = 1000

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from markupsafe import Markup
 
 from calib.fit.compare import CLEARLY, NOTICEABLY, ModelScore
@@ -15,13 +17,14 @@ from calib.uncertainty.format import fixed
 
 HEADS = (
     "Model",
-    "Parameters",
+    "Free",
     "LOO ± standard error",
-    "Weight",
+    "Stacking weight",
+    "Average weight",
     "AICc",
     "BIC",
-    "Left-out depth error / %",
-    "Validation depth error / %",
+    "Depth, left out / %",
+    "Depth, validation / %",
     "Largest Pareto k",
     "Rows refitted",
 )
@@ -46,12 +49,15 @@ def comparison(c: Calibration, _: ReportContext) -> Section | None:
             "Models side by side",
             HEADS,
             rows,
-            note="LOO is the expected log density of the encoder's reading of a row that the fit "
-            "has not seen, summed over rows: higher is better. AICc and BIC: lower is better; no "
-            "AICc where the rows are too few for it. Rows with a Pareto k above "
-            f"{K_HAT_LIMIT:g} are predicted by a refit without them. Weights are stacking "
-            "weights; depth errors are root mean squares, of groups of rows left out and of the "
-            "validation rows.",
+            note="✓: selected. Free: parameters. LOO is the expected log density of the encoder's "
+            "reading of a row that the fit has not seen, summed over rows: higher is better. AICc "
+            "and BIC: lower is better; no AICc where the rows are too few for it. Stacking weights "
+            "mix the models' predictions of left-out rows best; average weights (pseudo-BMA+) say "
+            "how far the rows leave open which model is right, and average depths over the models. "
+            "Depth errors are root mean squares, of groups of rows left out and of the validation "
+            f"rows. Rows with a Pareto k above {K_HAT_LIMIT:g} are predicted by a refit without "
+            f"them{_refitted(found.scores)}.",
+            dense=True,
             sortable=True,
         ),
     ]
@@ -63,17 +69,31 @@ def comparison(c: Calibration, _: ReportContext) -> Section | None:
     return Section("comparison", "Comparison of the models", tuple(blocks))
 
 
+def _refitted(scores: Sequence[ModelScore]) -> str:
+    """Return which rows were refitted, in words that go on a sentence."""
+    parts = []
+    for score in scores:
+        if score.refitted:
+            more = " …" if len(score.refitted) > MOST_NAMED else ""
+            parts.append(f"{score.model}: {', '.join(score.refitted[:MOST_NAMED])}{more}")
+    return f" ({'; '.join(parts)})" if parts else ""
+
+
+MOST_NAMED = 10
+
+
 def _row(s: ModelScore, *, chosen: bool) -> tuple[Cell, ...]:
     free = MODELS[s.model].free
     return (
-        words(f"{s.model} (selected)" if chosen else s.model, mark="good" if chosen else ""),
+        words(s.model, mark="good" if chosen else ""),
         number(str(len(free)), len(free)),
         number(f"{signed(fixed(s.loo, 1))} ± {fixed(s.loo_se, 1)}", s.loo),
         decimals(s.weight, 2),
+        decimals(s.averaging_weight, 2),
         EMPTY if s.aicc is None else decimals(s.aicc, 1),
         decimals(s.bic, 1),
         percent(s.cv_depth_rms_rel),
         percent(s.validation_depth_rms_rel),
         decimals(float(s.pareto_k.max()), 2),
-        words(", ".join(s.refitted[:10]) + (" …" if len(s.refitted) > 10 else "") or "none"),
+        number(str(len(s.refitted)), len(s.refitted)),
     )

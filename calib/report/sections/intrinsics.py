@@ -62,10 +62,10 @@ def _camera(i: Intrinsics, corners: FloatArray) -> list[Block]:
         picture(
             f"difference-{i.name}-{k + 1}",
             draw_difference(i, d),
-            f"{name}: {_short(d.second)} less {_short(d.first)}. Left, in pixels; right, over what "
-            "both stated uncertainties lead to expect: above 2 over a large part of the imager, "
-            "one of the two is wrong by more than it says, or the lens model does not fit the "
-            "lens.",
+            f"{name}: {_short(d.second)} less {_short(d.first)}. Left, in pixels (arrows: where "
+            "to; long ones are cut); right, over what both stated uncertainties lead to expect: "
+            "above 2 over a large part of the imager, one of the two is wrong by more than it "
+            "says, or the lens model does not fit the lens.",
         )
         for k, d in enumerate(i.differences[:DIFFERENCES_DRAWN])
     ]

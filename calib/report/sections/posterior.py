@@ -55,8 +55,7 @@ def _table(p: Posterior) -> Table:
         times, (low, _, high) = factor(name), p.quantiles[i]
         rows.append(
             (
-                words(symbol(name)),
-                words(unit(name)),
+                words(_quantity(name)),
                 estimate(p.mean[i], std[i], factor=times),
                 bounds(low, high, std[i], factor=times),
                 decimals(p.tau[i], 0),
@@ -68,10 +67,9 @@ def _table(p: Posterior) -> Table:
         )
     heads = (
         "Parameter",
-        "Unit",
         "Mean ± u",
         "95 % interval",
-        "Autocorrelation time / steps",
+        "τ / steps",
         "Effective draws, bulk",
         "Effective draws, tails",
         "R-hat",
@@ -81,8 +79,15 @@ def _table(p: Posterior) -> Table:
         Markup("Convergence of <em>{}</em>").format(p.model),
         heads,
         rows,
-        note=f"Wanted: {ESS_GOAL:.0f} effective draws in the bulk, R-hat below {R_HAT_LIMIT}.",
+        note=f"τ: autocorrelation time. Wanted: {ESS_GOAL:.0f} effective draws in the bulk, R-hat "
+        f"below {R_HAT_LIMIT}.",
+        dense=True,
     )
+
+
+def _quantity(name: str) -> Markup:
+    """Return symbol and unit of a parameter."""
+    return Markup("{} / {}").format(symbol(name), unit(name)) if unit(name) else symbol(name)
 
 
 def _limited(value: float, count: int, *, good: bool = True) -> Cell:

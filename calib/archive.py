@@ -98,6 +98,11 @@ def _rows(where: str, rows: Observations) -> Iterator[Entry]:
     units = ("1", "1", "rad", "rad", "mm")
     meaning = "standard uncertainty of x1c, y1c, alpha2, gaze residual, z: each row's own part"
     yield Entry(f"{where}/std", rows.std, units, meaning)
+    if rows.has_groups:
+        meaning = "rows of one number have their reference depth from one measurement"
+        yield Entry(f"{where}/z_group", rows.z_group.astype(float), "1", meaning)
+        meaning = "standard uncertainty of that measurement, a part of std of z"
+        yield Entry(f"{where}/u_z_group", rows.u_z_group_mm, "mm", meaning)
     if rows.shared_names:
         meaning = "effect of each shared standard-normal error on x1c, y1c, alpha2, residual, z"
         yield Entry(f"{where}/shared", rows.shared, units, meaning)

@@ -74,6 +74,11 @@ class _Shared(_Section):
     sources: tuple[str, ...] | None = None
 
 
+class _SharedByRows(_Section):
+    with_parameters: tuple[tuple[float, ...], ...]
+    sources: tuple[str, ...]
+
+
 class _Stated(_Section):
     u_x1c: NotNegative
     encoder_step_rad: NotNegative
@@ -120,6 +125,7 @@ class _Measurement(_Parameters):
     stated: _Stated
     calibrated_depth_mm: tuple[Positive, Positive]
     shared: _Shared | None = None
+    shared_by_rows: _SharedByRows | None = None
     average: tuple[_Share, ...] = ()
 
     @model_validator(mode="after")
@@ -135,11 +141,16 @@ class _Measurement(_Parameters):
             if self.shared.sources is not None and {len(self.shared.sources)} != errors:
                 raise ValueError("sources of the shared errors do not belong to them")
             loads = errors.pop()
+        if self.shared_by_rows is not None:
+            rows = self.shared_by_rows.with_parameters
+            errors = {len(self.shared_by_rows.sources)}
+            if len(rows) != size or {len(row) for row in rows} != errors:
+                raise ValueError("errors that rows share and parameters do not belong together")
         if self.average and abs(sum(share.weight for share in self.average) - 1) > SUM_OF_WEIGHTS:
             raise ValueError("the models' weights do not add up to 1")
         for share in self.average:
-            rows = share.with_parameters or ((),) * len(share.names)
-            if len(rows) != len(share.names) or {len(row) for row in rows} != {loads}:
+            links = share.with_parameters or ((),) * len(share.names)
+            if len(links) != len(share.names) or {len(row) for row in links} != {loads}:
                 raise ValueError(f"shared errors and parameters of {share.model} do not match")
         return self
 
@@ -252,20 +263,28 @@ def _measuring(file: _File) -> Measuring:
         encoder_step_rad=m.stated.encoder_step_rad,
         u_alpha2_rad=m.stated.u_alpha2_rad,
     )
-    shared, common = Shared(), None
+    shared = Shared()
     if m.shared is not None:
         factor = np.array(m.shared.factor)
-        sources = m.shared.sources or (UNNAMED,) * factor.shape[1]
-        shared = Shared(m.shared.names, factor, sources)
-        common = SharedErrors(sources, np.array(m.shared.with_parameters))
+        shared = Shared(m.shared.names, factor, m.shared.sources or (UNNAMED,) * factor.shape[1])
     return Measuring(
-        instrument=Instrument(m.knowledge(), reading, common),
+        instrument=Instrument(m.knowledge(), reading, _errors(m, shared.error_names)),
         setup=Setup(settings, CameraSet(cameras.get("c1"), cameras.get("c2")), shared),
         noise_factor=m.noise_factor,
         calibrated_mm=m.calibrated_depth_mm,
         factor95=m.factor95,
         shares=tuple(_share(share, reading, shared.error_names) for share in m.average),
     )
+
+
+def _errors(m: _Measurement, of_readings: tuple[str, ...]) -> SharedErrors | None:
+    """Return the shared errors: those that readings have too, then those of rows alone."""
+    links = np.zeros((len(m.names), 0)) if m.shared is None else np.array(m.shared.with_parameters)
+    if m.shared_by_rows is None:
+        return None if m.shared is None else SharedErrors(of_readings, links)
+    alone = m.shared_by_rows.sources
+    links = np.hstack([links, np.array(m.shared_by_rows.with_parameters)])
+    return SharedErrors((*of_readings, *alone), links, of_rows_alone=len(alone))
 
 
 def _share(share: _Share, reading: ReadingSpread, errors: tuple[str, ...]) -> ModelShare:

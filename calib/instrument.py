@@ -132,8 +132,13 @@ def instrument_from_draws(
         gaze_residual_rad=Spread(normal=factor * residual),
     )
     shared = None
-    if rows.shared_names:
-        shared = SharedErrors(rows.shared_names, with_parameters=fit.by_shared, own_draws=own)
+    if fit.shared_names:
+        shared = SharedErrors(
+            fit.shared_names,
+            with_parameters=fit.by_shared,
+            own_draws=own,
+            of_rows_alone=len(fit.shared_names) - len(rows.shared_names),
+        )
     return CalibratedInstrument(
         model=fit.model,
         instrument=Instrument(parameters, reading, shared),

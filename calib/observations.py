@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -9,9 +10,32 @@ import numpy as np
 from calib.arrays import BoolArray, FloatArray, IntArray
 from calib.geometry.plane import Gaze
 
+GROUP_SOURCE = "reference depth of a pose"
+"""Source of what rows that share the error of one reference depth add to independent ones."""
+
 
 def _no_shared() -> FloatArray:
     return np.zeros((0, 0, 0))
+
+
+def depth_groups(names: Sequence[Hashable], u_mm: FloatArray) -> tuple[IntArray, FloatArray]:
+    """Return `z_group` and `u_z_group_mm` of rows; both empty where no two share an error.
+
+    Parameters
+    ----------
+    names
+        Of the reference measurement of each row, length n.
+    u_mm
+        Standard uncertainty of that measurement, shape (n,); NaN counts as none.
+    """
+    u = np.nan_to_num(u_mm)
+    if u.any():
+        number: dict[Hashable, int] = {}
+        label = np.array([number.setdefault(name, len(number)) for name in names])
+        u[np.bincount(label)[label] < 2] = 0.0
+        if u.any():
+            return label, u
+    return np.zeros(0, dtype=np.int64), np.zeros(0)
 
 
 @dataclass(frozen=True)
@@ -21,7 +45,8 @@ class Observations:
     The error of row i, quantity q (columns of `calib.geometry.plane.OBSERVABLE`) is modelled as
     ``std[i, q] * own + shared[i, q] @ common`` with independent standard-normal ``own`` (one a
     row and quantity) and ``common`` (one vector for all rows: what C1's intrinsics and the stereo
-    extrinsics, estimated once, have wrong).
+    extrinsics, estimated once, have wrong). Rows of one `z_group` have part of their own errors of
+    z in common.
 
     Parameters
     ----------
@@ -35,13 +60,19 @@ class Observations:
     z_mm
         Reference depth, mm, shape (n,).
     std
-        Standard uncertainties of each row's own errors, shape (n, 5).
+        Standard uncertainties of each row's errors without the shared ones, shape (n, 5).
     shared
         Loadings of the shared errors, shape (n, 5, k); shape (0, 0, 0) if there are none.
     shared_names
         One name a shared error, length k.
     has_height
         Whether y1c is known for every row.
+    z_group
+        Rows of one number have their reference depth from one measurement, shape (n,); shape (0,)
+        if no two of them have.
+    u_z_group_mm
+        What is uncertain of it, and so one error of all these rows, mm, shape (n,). It is part of
+        `std`, which says of each row by itself how far its depth may be off.
     """
 
     ids: tuple[str, ...]
@@ -55,9 +86,16 @@ class Observations:
     has_height: bool = True
     shared: FloatArray = field(default_factory=_no_shared)
     shared_names: tuple[str, ...] = ()
+    z_group: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    u_z_group_mm: FloatArray = field(default_factory=lambda: np.zeros(0))
 
     def __len__(self) -> int:
         return len(self.ids)
+
+    @property
+    def has_groups(self) -> bool:
+        """Whether some rows share the error of one reference measurement."""
+        return len(self.z_group) > 0
 
     @property
     def gaze(self) -> Gaze:
@@ -80,4 +118,6 @@ class Observations:
             has_height=self.has_height,
             shared=self.shared[index] if self.shared_names else self.shared,
             shared_names=self.shared_names,
+            z_group=self.z_group[index] if self.has_groups else self.z_group,
+            u_z_group_mm=self.u_z_group_mm[index] if self.has_groups else self.u_z_group_mm,
         )

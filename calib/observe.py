@@ -19,7 +19,7 @@ from calib.geometry.camera import (
     project,
 )
 from calib.geometry.plane import OBSERVABLE
-from calib.observations import Observations
+from calib.observations import Observations, depth_groups
 
 U_PIXEL = 0.1
 """Standard uncertainty of a pixel coordinate that a table gives, px, where nothing better is known.
@@ -151,6 +151,8 @@ class RowSettings:
     u_z_rel: float
     encoder_step_rad: float
     u_alpha2_rad: float
+    u_z_group_mm: float = 0.0
+    u_z_group_rel: float = 0.0
 
 
 def row_settings(dataset: Dataset) -> RowSettings:
@@ -164,6 +166,8 @@ def row_settings(dataset: Dataset) -> RowSettings:
         u_z_rel=gaze.u_z_rel,
         encoder_step_rad=float(np.deg2rad(encoder.resolution_deg)),
         u_alpha2_rad=float(np.deg2rad(encoder.u_alpha2_deg)),
+        u_z_group_mm=gaze.u_z_group_mm,
+        u_z_group_rel=gaze.u_z_group_rel,
     )
 
 
@@ -172,7 +176,13 @@ def validation_settings(dataset: Dataset) -> RowSettings:
     settings, stated = row_settings(dataset), dataset.manifest.validation
     if stated is None:
         return settings
-    return replace(settings, u_z_mm=stated.u_z_mm, u_z_rel=stated.u_z_rel)
+    return replace(
+        settings,
+        u_z_mm=stated.u_z_mm,
+        u_z_rel=stated.u_z_rel,
+        u_z_group_mm=stated.u_z_group_mm,
+        u_z_group_rel=stated.u_z_group_rel,
+    )
 
 
 @dataclass(frozen=True)
@@ -241,6 +251,7 @@ def observe(table: GazeTable, setup: Setup, sightings: Sightings | None) -> Obse
     by_common[:, OBSERVABLE.residual] = residual.by_common
     by_common[:, OBSERVABLE.z] = depth.by_common
     x, y = ray.value.T
+    z_group, u_z_group = source.groups()
     return Observations(
         ids=table.ids,
         groups=table.groups,
@@ -253,6 +264,8 @@ def observe(table: GazeTable, setup: Setup, sightings: Sightings | None) -> Obse
         has_height=bool(np.isfinite(y).all()),
         shared=by_common if shared.names else np.zeros((0, 0, 0)),
         shared_names=shared.error_names,
+        z_group=z_group,
+        u_z_group_mm=u_z_group,
     )
 
 
@@ -353,8 +366,24 @@ class _Source:
         z = np.where(known, table.z_mm, seen.z_mm)
         default = np.hypot(settings.u_z_mm, settings.u_z_rel * z)
         stated = np.where(np.isfinite(table.u_z_mm), table.u_z_mm, default)
-        std = np.where(known, stated, seen.u_z_mm)
+        std = np.where(known, np.hypot(stated, self._u_group(z)), seen.u_z_mm)
         return _Part(z, std, np.where(known[:, None], 0.0, seen.z_by_common))
+
+    def _u_group(self, z: FloatArray) -> FloatArray:
+        """Return what is uncertain of stated depths together with their group's, mm, shape (n,)."""
+        u: FloatArray = np.hypot(self.settings.u_z_group_mm, self.settings.u_z_group_rel * z)
+        return u
+
+    def groups(self) -> tuple[IntArray, FloatArray]:
+        """Return which rows have one reference measurement, and its error, mm; shape (n,) each.
+
+        Stated depths are grouped by `group`, those of image pairs by pair: all that is uncertain
+        of a pair's depth is one error of the rows that take it from there.
+        """
+        stated = np.isfinite(self.table.z_mm)
+        u = np.where(stated, self._u_group(self.table.z_mm), self.seen.u_z_mm)
+        names = zip(stated.tolist(), self.table.groups, self.table.stereo, strict=True)
+        return depth_groups([(given, g if given else s) for given, g, s in names], u)
 
 
 def direction_by_common(xy: FloatArray, camera: Camera, shared: Shared) -> FloatArray:

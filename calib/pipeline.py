@@ -197,6 +197,7 @@ def _measure(
     comparison = stage("comparison", "calib.fit.compare:compare_models",
                        rows, fitted.robust, fitted.posterior, priors, validation, seed=seed)
     selected = comparison.value.selected
+    groups = stage("groups", "calib.fit.group_check:check_groups", rows, fitted.robust[selected])
     calibrated = stage("instrument", "calib.instrument:build_instrument",
                        fitted.posterior[selected], fitted.robust[selected], rows, setup)
     depths = stage("depths", "calib.instrument:tabulate_depths",
@@ -219,6 +220,7 @@ def _measure(
         depths=depths.value,
         average=average.value,
         validation=None if measured is None else measured.value,
+        groups=groups.value,
         evidence=evidence.get(),
     )
 

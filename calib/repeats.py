@@ -67,8 +67,8 @@ def combine(rows: Observations) -> Observations:
 
     Repeats become one row at their mean, named after the first. Of its own errors those of the
     images are averaged; that of the reading is not, and that of the depth only if the repeats'
-    depths differ, which shows that they were taken anew. Without repeats the rows come back as
-    they are.
+    depths differ, which shows that they were taken anew; what a depth shares with its group stays
+    as it is. Without repeats the rows come back as they are.
     """
     label = places(rows)
     count = int(label.max()) + 1 if len(label) else 0
@@ -81,15 +81,19 @@ def combine(rows: Observations) -> Observations:
     label = rank[label]
     size = np.bincount(label).astype(float)
     kept = rows.take(np.sort(first))
-    std = np.sqrt(_means(rows.std**2, label, size) / size[:, None])
+    common = np.zeros((len(rows), len(OBSERVABLE)))
+    if rows.has_groups:
+        common[:, OBSERVABLE.z] = rows.u_z_group_mm
+    own = _means(rows.std**2 - common**2, label, size) / size[:, None]
+    std = np.sqrt(own + _means(common**2, label, size))
     std[:, OBSERVABLE.alpha2] = kept.std[:, OBSERVABLE.alpha2]
     retaken = _spread(rows.z_mm, label, count) > 0
     std[~retaken, OBSERVABLE.z] = kept.std[~retaken, OBSERVABLE.z]
     single = size == 1
     std[single] = kept.std[single]
     mean = [
-        np.where(single, own, _means(every[:, None], label, size)[:, 0])
-        for own, every in (
+        np.where(single, alone, _means(every[:, None], label, size)[:, 0])
+        for alone, every in (
             (kept.x1c, rows.x1c),
             (kept.y1c, rows.y1c),
             (kept.gaze_residual_rad, rows.gaze_residual_rad),

@@ -17,6 +17,7 @@ from calib.calibration_file import FORMAT
 from calib.certificate.inputs import Evidence
 from calib.fit.compare import Comparison, ModelScore
 from calib.fit.convex import ConvexFit
+from calib.fit.group_check import GroupCheck
 from calib.fit.identifiability import Identifiability
 from calib.fit.linear import LinearFit
 from calib.fit.posterior import Posterior
@@ -35,7 +36,7 @@ from calib.results_fits import (
 )
 from calib.results_identifiability import identifiability_document
 from calib.results_images import images_document
-from calib.uncertainty.measurement import Instrument, Spread
+from calib.uncertainty.measurement import Instrument, SharedErrors, Spread
 from calib.uncertainty.montecarlo import NORMAL_FACTOR
 
 DIGITS = 12
@@ -64,6 +65,8 @@ class GazeResult:
         None if no model could be fitted.
     validation
         None without validation rows.
+    groups
+        Whether rows of a group err together; None if no model could be fitted.
     evidence
         Accuracy at the certified depths; None if no model could be fitted.
     """
@@ -81,6 +84,7 @@ class GazeResult:
     depths: DepthTable | None = None
     average: ModelAverage | None = None
     validation: ValidationResult | None = None
+    groups: GroupCheck | None = None
     evidence: Evidence | None = None
 
 
@@ -254,19 +258,30 @@ def _measurement(c: CalibratedInstrument) -> dict[str, Any]:
         },
         "calibrated_depth_mm": c.calibrated_mm,
         "shared": _shared(c),
+        "shared_by_rows": _shared_by_rows(instrument.shared),
     }
 
 
 def _shared(c: CalibratedInstrument) -> dict[str, Any] | None:
     """Return the errors that readings share with the calibration, None without any."""
-    if c.instrument.shared is None:
+    shared, errors = c.setup.shared, c.instrument.shared
+    if errors is None or not shared.names:
         return None
-    shared = c.setup.shared
     return {
         "names": list(shared.names),
         "factor": shared.factor,
-        "with_parameters": c.instrument.shared.with_parameters,
+        "with_parameters": errors.with_parameters[:, : errors.of_readings],
         "sources": list(shared.error_names),
+    }
+
+
+def _shared_by_rows(errors: SharedErrors | None) -> dict[str, Any] | None:
+    """Return the errors that calibration rows share and readings do not have, None without any."""
+    if errors is None or not errors.of_rows_alone:
+        return None
+    return {
+        "with_parameters": errors.with_parameters[:, errors.of_readings :],
+        "sources": list(errors.names[errors.of_readings :]),
     }
 
 

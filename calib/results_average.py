@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
+from calib.arrays import FloatArray
 from calib.average import ModelAverage
+from calib.uncertainty.measurement import SharedErrors
 
 
 def average_document(average: ModelAverage) -> dict[str, Any]:
@@ -19,13 +21,18 @@ def average_document(average: ModelAverage) -> dict[str, Any]:
                 "covariance": share.instrument.parameters.covariance,
                 "noise_factor": share.noise_factor,
                 "factor95": share.factor95,
-                "with_parameters": None
-                if share.instrument.shared is None
-                else share.instrument.shared.with_parameters,
+                "with_parameters": _with_parameters(share.instrument.shared),
             }
             for share in average.shares
         ]
     }
+
+
+def _with_parameters(shared: SharedErrors | None) -> FloatArray | None:
+    """Return what the errors that readings have too have moved the parameters by; None if none."""
+    if shared is None or not shared.of_readings:
+        return None
+    return shared.with_parameters[:, : shared.of_readings]
 
 
 def average_depths(average: ModelAverage) -> list[dict[str, Any]]:

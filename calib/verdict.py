@@ -8,6 +8,7 @@ import numpy as np
 
 from calib.arrays import FloatArray
 from calib.average import doubt_of
+from calib.fit.group_check import GroupCheck
 from calib.fit.identifiability import Identifiability
 from calib.fit.posterior import ESS_GOAL, R_HAT_LIMIT, Posterior
 from calib.fit.priors import NOISE_SCALE
@@ -240,6 +241,8 @@ def gaze_warnings(gaze: GazeResult) -> tuple[str, ...]:
             for score in gaze.comparison.scores
             if score.unreliable
         ]
+    if gaze.groups is not None and gaze.groups.together:
+        found.append(_together(gaze.groups))
     if gaze.average is not None and gaze.depths is not None:
         told = doubt_of(gaze.average, gaze.depths)
         found += [] if told is None else [told]
@@ -268,6 +271,16 @@ def _named_outliers(gaze: GazeResult, model: str) -> list[str]:
         f"result: {', '.join(outliers[:NAMED])}{more}; look at their pictures, reading and "
         "reference depth"
     ]
+
+
+def _together(found: GroupCheck) -> str:
+    """Return what to do where rows of a group err together."""
+    return (
+        f"rows of one group err together (p = {found.probability:.0e} if they were independent, "
+        f"{found.groups} groups). If a group has its reference depth from one measurement, state "
+        f"u_z_group_rel = {found.u_z_rel:.1g} or so in [gaze], or keep one row a group; until then "
+        "the intervals of depth may be too short"
+    )
 
 
 def _off_centre(rows: Observations) -> list[str]:

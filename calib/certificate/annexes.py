@@ -32,8 +32,13 @@ from calib.uncertainty.lengths import LengthError
 def annexes(inputs: CertificateInputs) -> tuple[Annex, ...]:
     """Return all annexes that the data have something for."""
     evidence, calibration = inputs.evidence, inputs.calibration
+    shared = calibration.instrument.shared
     found = [
-        budgets(evidence.depths, cameras=calibration.instrument.shared is not None),
+        budgets(
+            evidence.depths,
+            cameras=shared is not None and shared.of_readings > 0,
+            groups=shared is not None and shared.of_rows_alone > 0,
+        ),
         _monte_carlo(evidence.depths),
         _positions(evidence.depths),
         _checks(evidence),

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from calib.certificate.data import NONE, Annex, Table
 from calib.certificate.numbers import depth_line, symbol
-from calib.certificate.wording import CAMERA_LINES
+from calib.certificate.wording import CAMERA_LINES, GROUP_LINE
 from calib.geometry.parameters import INDEX
 from calib.uncertainty.budget import Budget, BudgetRow, CorrelationRow
 from calib.uncertainty.certified import CertifiedDepth
@@ -22,8 +22,14 @@ SLIGHT_PERCENT = 0.05
 """Inputs and pairs with a smaller share, which would print as 0.0, are summed in one row."""
 
 
-def budgets(depths: Sequence[CertifiedDepth], *, cameras: bool) -> Annex | None:
-    """Return the budgets; `cameras` if intrinsics or pose have a line in them."""
+def budgets(depths: Sequence[CertifiedDepth], *, cameras: bool, groups: bool) -> Annex | None:
+    """Return the budgets.
+
+    Parameters
+    ----------
+    cameras, groups
+        Whether intrinsics or pose, and reference depths of several rows, have a line in them.
+    """
     if not depths:
         return None
     introduction = (
@@ -31,7 +37,7 @@ def budgets(depths: Sequence[CertifiedDepth], *, cameras: bool) -> Annex | None:
         "a row of its own, negative where errors cancel. Shares add up to 100 % before rounding."
     )
     freedoms = dict.fromkeys(_freedom(d.result.budget) for d in depths)
-    said = [introduction, *([CAMERA_LINES] if cameras else [])]
+    said = [introduction, *([CAMERA_LINES] if cameras else []), *([GROUP_LINE] if groups else [])]
     # What holds for all depths is said once.
     said += freedoms if len(freedoms) == 1 else []
     notes = [_freedom(d.result.budget) if len(freedoms) > 1 else "" for d in depths]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 
+from calib.observations import GROUP_SOURCE
 from calib.uncertainty.conformity import DecisionRule, Verdict
 
 NOT_STATED = "not stated"
@@ -59,6 +60,12 @@ CAMERA_LINES = (
     "not explain of them. Beside these lines, u of a parameter and r of two are what rows and "
     "prior knowledge leave; with the cameras' part they are those of the tables of the parameters "
     "and of their correlation."
+)
+
+GROUP_LINE = (
+    f"Several rows have their reference depth from one measurement. The line {GROUP_SOURCE!r} is "
+    "what it adds to the uncertainty of the parameters that such rows err together and not one by "
+    "one; a reading has no part in it."
 )
 
 NORMS = (

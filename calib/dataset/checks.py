@@ -11,7 +11,7 @@ from calib.arrays import BoolArray, FloatArray
 from calib.dataset.cells import NAMED_ROWS
 from calib.dataset.contents import Dataset
 from calib.dataset.faults import MANIFEST
-from calib.dataset.manifest import CAMERAS
+from calib.dataset.manifest import CAMERAS, Gaze, Validation
 from calib.dataset.tables import GazeTable, LengthTable
 from calib.dataset.words import nearest, row_place, shown
 from calib.errors import Problem
@@ -45,6 +45,7 @@ def faults(dataset: Dataset, *, rows_to_come: bool = False) -> Iterator[Problem]
     yield from _too_few_images(dataset)
     if not rows_to_come:
         yield from _too_few_rows(dataset)
+    yield from _missing_groups(dataset)
     yield from _unknown_pairs(dataset)
     yield from _unknown_ends(dataset)
     yield from _pixels_outside(dataset)
@@ -72,7 +73,7 @@ def _gaze_doubts(dataset: Dataset, gaze: GazeTable) -> Iterator[str]:
         yield f"[gaze] states no u_x1c: {stated.u_x1c:g} is assumed (0.1 px at f = 500 px)"
     known = gaze.z_mm[~np.isnan(gaze.z_mm)]
     silent = ~np.isnan(gaze.z_mm) & np.isnan(gaze.u_z_mm)
-    if stated is not None and silent.any() and stated.u_z_mm == stated.u_z_rel == 0:
+    if stated is not None and silent.any() and not any(_stated_depth(stated)):
         yield (
             f"{gaze.file} and [gaze] state no uncertainty of z_mm: the reference depths of "
             f"{silent.sum()} rows are taken as exact"
@@ -198,6 +199,30 @@ def _too_few_rows(dataset: Dataset) -> Iterator[Problem]:
             what=f"has {len(gaze)} row{'s' * (len(gaze) > 1)}; the smallest model needs {MIN_ROWS}",
             remedy="add gazes at other depths and places",
         )
+
+
+def _stated_depth(section: Gaze | Validation) -> tuple[float, ...]:
+    """Return all that a section states of the uncertainty of z."""
+    return section.u_z_mm, section.u_z_rel, section.u_z_group_mm, section.u_z_group_rel
+
+
+def _missing_groups(dataset: Dataset) -> Iterator[Problem]:
+    """Yield sections that state an error common to a group of rows, of a table without groups."""
+    manifest = dataset.manifest
+    sections = {
+        "[gaze]": (manifest.gaze, dataset.gaze),
+        "[validation]": (manifest.validation, dataset.validation),
+    }
+    for name, (section, table) in sections.items():
+        if section is None or table is None or table.groups != table.ids:
+            continue
+        for key in ("u_z_group_mm", "u_z_group_rel"):
+            if getattr(section, key) > 0:
+                yield Problem(
+                    where=f"{MANIFEST}, {name} {key}",
+                    what=f"is of rows of one group, and {table.file} names no groups",
+                    remedy="add the column group, the same name for rows that share a reference",
+                )
 
 
 def _named(

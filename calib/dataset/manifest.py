@@ -231,13 +231,19 @@ class Encoder(Section):
 
 
 class Gaze(Section):
-    """Calibration rows, and the standard uncertainties of rows that state none."""
+    """Calibration rows, and the standard uncertainties of rows that state none.
+
+    `u_z_group_mm` and `u_z_group_rel` are of the error of z that rows of one group have in common,
+    beside each row's own.
+    """
 
     table: Line
     reference: Line = "not stated"
     u_x1c: UX1c = DEFAULT_U_X1C
     u_z_mm: NotNegative = 0.0
     u_z_rel: UZRel = 0.0
+    u_z_group_mm: NotNegative = 0.0
+    u_z_group_rel: UZRel = 0.0
 
 
 class Validation(Section):
@@ -247,6 +253,8 @@ class Validation(Section):
     reference: Line = "not stated"
     u_z_mm: NotNegative = 0.0
     u_z_rel: UZRel = 0.0
+    u_z_group_mm: NotNegative = 0.0
+    u_z_group_rel: UZRel = 0.0
 
 
 class Table(Section):

@@ -16,8 +16,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.random import SeedSequence
 
-from calib.arrays import FloatArray
+from calib.arrays import FloatArray, IntArray
 from calib.errors import EstimationError
+from calib.fit.groups import units
 from calib.fit.importance import ImportanceSample
 from calib.fit.leave_one_out import LeftOut, leave_one_out, of_chain, of_sample
 from calib.fit.posterior import Posterior, Progress, posterior_of
@@ -185,7 +186,8 @@ def _compare(
     """Return scores and selection, models in order of rising number of free parameters."""
     every = _without_outliers(np.stack([loo.pointwise for loo in loos.values()], axis=1), fits)
     stacking = stacking_weights(every)
-    averaging = averaging_weights(every, np.random.default_rng(for_weights))
+    unit = units(rows)
+    averaging = averaging_weights(_by_unit(every, unit), np.random.default_rng(for_weights))
     scores = []
     for k, (name, loo) in enumerate(loos.items()):
         pointwise = every[:, k]
@@ -194,7 +196,7 @@ def _compare(
             ModelScore(
                 model=name,
                 loo=float(pointwise.sum()),
-                loo_se=float(np.sqrt(len(rows) * np.var(pointwise))),
+                loo_se=_standard_error(pointwise, unit),
                 pointwise=pointwise,
                 pareto_k=loo.pareto_k,
                 refitted=tuple(rows.ids[i] for i in loo.refitted),
@@ -207,7 +209,7 @@ def _compare(
                 averaging_weight=float(averaging[k]),
             )
         )
-    selected, reason = select(scores)
+    selected, reason = select(scores, unit)
     return Comparison(tuple(scores), selected, reason)
 
 
@@ -224,14 +226,33 @@ def _without_outliers(pointwise: FloatArray, fits: Mapping[str, RobustFit]) -> F
     return evened
 
 
-def select(scores: Sequence[ModelScore]) -> tuple[str, str]:
-    """Return the name of the model that the rule selects, and the rule with its figures."""
+def _by_unit(pointwise: FloatArray, unit: IntArray) -> FloatArray:
+    """Return densities summed over the rows of each unit, shape (units, models)."""
+    total = np.zeros((int(unit.max()) + 1, pointwise.shape[1]))
+    np.add.at(total, unit, pointwise)
+    return total
+
+
+def _standard_error(pointwise: FloatArray, unit: IntArray) -> float:
+    """Return the standard error of the sum of terms, shape (n,), whose units are independent."""
+    independent = np.bincount(unit, weights=pointwise)
+    return float(np.sqrt(len(independent) * np.var(independent)))
+
+
+def select(scores: Sequence[ModelScore], unit: IntArray | None = None) -> tuple[str, str]:
+    """Return the name of the model that the rule selects, and the rule with its figures.
+
+    Parameters
+    ----------
+    unit
+        Of each row, shape (n,); see `calib.fit.groups.units`. None where each is its own.
+    """
+    unit = np.arange(len(scores[0].pointwise)) if unit is None else unit
     best = max(scores, key=lambda s: s.loo)
     by_size = sorted(scores, key=lambda s: (len(MODELS[s.model].free), -s.loo))
     for score in by_size:
         behind = best.loo - score.loo
-        difference = best.pointwise - score.pointwise
-        error = float(np.sqrt(len(difference) * np.var(difference)))
+        error = _standard_error(best.pointwise - score.pointwise, unit)
         if score is best:
             break
         if behind <= max(CLEARLY * error, NOTICEABLY):
@@ -245,8 +266,7 @@ def select(scores: Sequence[ModelScore]) -> tuple[str, str]:
     if not simpler:
         return best.model, f"{best.model} predicts best and has the fewest parameters"
     rival = max(simpler, key=lambda s: s.loo)
-    difference = best.pointwise - rival.pointwise
-    error = float(np.sqrt(len(difference) * np.var(difference)))
+    error = _standard_error(best.pointwise - rival.pointwise, unit)
     reason = (
         f"{best.model} predicts best: its expected log predictive density is "
         f"{best.loo - rival.loo:.1f} above that of {rival.model}, the best model with fewer "

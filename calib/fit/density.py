@@ -62,6 +62,9 @@ class LogPosterior:
         Mean and standard deviation of the logarithm of the noise scale.
     tails
         Of the rows' density.
+    followed
+        Degrees of freedom that parameters take by following errors which rows of a group share,
+        beyond those that integrating them out takes: so many rows fewer tell the noise scale.
     """
 
     model: Model
@@ -73,6 +76,7 @@ class LogPosterior:
     target: FloatArray
     noise_prior: tuple[float, float]
     tails: Tails
+    followed: float = 0.0
 
     @property
     def dimensions(self) -> int:
@@ -98,7 +102,7 @@ class LogPosterior:
         total: FloatArray = -0.5 * ((x[:, :-1] @ self.root.T - self.target) ** 2).sum(axis=1)
         total -= 0.5 * ((log_scale - mean) / std) ** 2
         dof, core, power = self.tails.dof, self.tails.core, self.tails.efficiency
-        total -= power * len(self.rows) * log_scale
+        total -= power * max(len(self.rows) - self.followed, 0.0) * log_scale
         scale = np.exp(np.clip(log_scale, -LOG_SCALE_LIMIT, LOG_SCALE_LIMIT))
         width = (dof * core**2 * scale**2)[:, None]
         # Far out in a proposal's tail the product overflows: the density is then 0, as it is.
@@ -231,6 +235,7 @@ def log_posterior(
     *,
     aside: BoolArray | None = None,
     tails: Tails = ROBUST,
+    followed: float = 0.0,
 ) -> LogPosterior:
     """Return the log posterior of `model`, with the rows weighted as at `theta`, (COUNT,).
 
@@ -240,6 +245,8 @@ def log_posterior(
         Rows that say nothing, shape (n,): outliers, see `calib.fit.noise.set_aside`.
     tails
         Of the rows' density: those of the fit.
+    followed
+        See `LogPosterior`.
     """
     silent = np.zeros(len(rows), dtype=np.bool_) if aside is None else aside
     noise = row_noise(theta, rows)
@@ -254,4 +261,5 @@ def log_posterior(
         target=target,
         noise_prior=priors.noise_scale,
         tails=tails,
+        followed=followed,
     )

@@ -1,5 +1,8 @@
 """Leave-one-out densities: what a model expects of each row from all others.
 
+Rows that share the error of a reference depth are left out together: from one of them the others
+would be expected with its error.
+
 Draws of the full posterior are given the weights that they have once the row is left out, smoothed
 by a Pareto tail (Vehtari, Gelman and Gabry 2017, doi 10.1007/s11222-016-9696-4); where that fails,
 the model is fitted again without the row.
@@ -7,7 +10,7 @@ the model is fitted again without the row.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,8 +18,10 @@ from arviz_stats.base import array_stats
 from numpy.random import SeedSequence
 from scipy.special import logsumexp
 
-from calib.arrays import FloatArray
+from calib.arrays import FloatArray, IntArray
 from calib.errors import EstimationError
+from calib.fit.density import LogPosterior
+from calib.fit.groups import units
 from calib.fit.importance import K_HAT_LIMIT, ImportanceSample, sample_importance
 from calib.fit.posterior import Posterior, laplace, posterior_of
 from calib.fit.priors import Priors
@@ -77,9 +82,10 @@ class LeftOut:
     Parameters
     ----------
     pointwise
-        Log predictive density of each row under the posterior of the others, shape (n,).
+        Log predictive density of each row under the posterior of those of other units, shape (n,);
+        see `calib.fit.groups.units`.
     pareto_k
-        Shape parameter of each row's importance weights, shape (n,).
+        Shape parameter of the importance weights of each row's unit, shape (n,).
     refitted
         Places of rows that were predicted by an exact refit, as `pareto_k` was too high.
     unreliable
@@ -125,30 +131,70 @@ def _loo(
     used = np.isfinite(sample.log_weights)
     draws, log_prior_weights = sample.draws[used], sample.log_weights[used]
     pointwise, pareto_k = np.empty(len(rows)), np.empty(len(rows))
-    step = max(1, CHUNK_ELEMENTS // len(draws))
-    for start in range(0, len(rows), step):
-        part = np.arange(start, min(start + step, len(rows)))
-        density = target.only(part).pointwise(draws).T
-        # A draw's weight once the row is left out: its own over what the row gave it.
-        log_weights, pareto_k[part] = _smoothed(
-            target.power[part, None] * density - log_prior_weights
-        )
-        log_weights -= logsumexp(log_weights, axis=1, keepdims=True)
-        pointwise[part] = logsumexp(density + log_weights, axis=1)
-    refitted, unreliable = [], []
-    failing = np.flatnonzero(pareto_k > K_HAT_LIMIT)
-    for i, child in zip(failing, seed.spawn(len(failing)), strict=True):
+    unit, most = units(rows), max(1, CHUNK_ELEMENTS // len(draws))
+    for part in _parts(unit, most):
+        blocks = [target.only(part[i : i + most]) for i in range(0, len(part), most)]
+        place = unit[part] - unit[part[0]]
+        pointwise[part], pareto_k[part] = _smoothed_terms(blocks, place, draws, log_prior_weights)
+    refitted, unreliable = list[int](), list[int]()
+    failing = np.unique(unit[pareto_k > K_HAT_LIMIT])
+    for number, child in zip(failing, seed.spawn(len(failing)), strict=True):
+        out = np.flatnonzero(unit == number)
         try:
-            term, reliable = _exact(rows, fit, priors, int(i), np.random.default_rng(child))
+            terms, reliable = _exact(rows, fit, priors, out, np.random.default_rng(child))
         except EstimationError:
             # The others alone do not determine the model: the smoothed term stays, and says so.
-            unreliable.append(int(i))
+            unreliable += out.tolist()
             continue
-        pointwise[i] = term
-        refitted.append(int(i))
+        pointwise[out] = terms
+        refitted += out.tolist()
         if not reliable:
-            unreliable.append(int(i))
+            unreliable += out.tolist()
     return LeftOut(pointwise, pareto_k, tuple(refitted), tuple(unreliable))
+
+
+def _smoothed_terms(
+    blocks: Sequence[LogPosterior],
+    place: IntArray,
+    draws: FloatArray,
+    log_prior_weights: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Return left-out densities and k-hat, shape (n,), of the rows of whole units.
+
+    Parameters
+    ----------
+    blocks
+        The rows. More than one block is one unit, of more rows than are held at a time.
+    place
+        Unit of each row, from 0 in rising order, shape (n,).
+    """
+    density = blocks[0].pointwise(draws).T
+    # A draw's weight once a unit is left out: its own over what the unit's rows gave it.
+    given = blocks[0].power[:, None] * density
+    if place[-1] + 1 < len(place):
+        given = np.add.reduceat(given, np.unique(place, return_index=True)[1], axis=0)
+    for block in blocks[1:]:
+        given += block.power @ block.pointwise(draws).T
+    log_weights, k_hat = _smoothed(given - log_prior_weights)
+    log_weights -= logsumexp(log_weights, axis=1, keepdims=True)
+    if len(log_weights) < len(density):
+        log_weights = log_weights[place[: len(density)]]
+    terms = [logsumexp(density + log_weights, axis=1)]
+    terms += [logsumexp(b.pointwise(draws).T + log_weights[0], axis=1) for b in blocks[1:]]
+    return np.concatenate(terms), k_hat[place]
+
+
+def _parts(unit: IntArray, most: int) -> Iterator[IntArray]:
+    """Yield places of rows, unit by unit, of whole units and `most` rows where these allow it."""
+    order = np.argsort(unit, kind="stable")
+    ends = np.cumsum(np.bincount(unit))
+    start = 0
+    while start < len(order):
+        fitting = int(np.searchsorted(ends, start + most, "right")) - 1
+        following = int(np.searchsorted(ends, start, "right"))
+        end = int(ends[max(fitting, following)])
+        yield order[start:end]
+        start = end
 
 
 def _smoothed(log_ratios: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -165,18 +211,18 @@ def _smoothed(log_ratios: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _exact(
-    rows: Observations, fit: RobustFit, priors: Priors, left_out: int, rng: np.random.Generator
-) -> tuple[float, bool]:
-    """Return the log density of a row under the posterior of the others, and its reliability."""
-    others = rows.take(np.arange(len(rows)) != left_out)
-    again = fit_robust(others, MODELS[fit.model], priors, start=fit.theta)
+    rows: Observations, fit: RobustFit, priors: Priors, left_out: IntArray, rng: np.random.Generator
+) -> tuple[FloatArray, bool]:
+    """Return log densities of a unit's rows, (m,), by the posterior of the others; if reliable."""
+    stay = np.setdiff1d(np.arange(len(rows)), left_out)
+    again = fit_robust(rows.take(stay), MODELS[fit.model], priors, start=fit.theta)
     # The weights stay those of the full fit, so that all terms speak of the same density.
     target = posterior_of(fit, rows, priors)
     sample = sample_importance(
-        target.only(np.flatnonzero(np.arange(len(rows)) != left_out)),
+        target.only(stay),
         *laplace(again, target),
         rng,
     )
-    density = target.only(np.array([left_out])).pointwise(sample.draws)[:, 0]
-    term = logsumexp(density + _log(sample.weights))
-    return float(term), sample.k_hat < K_HAT_LIMIT
+    density = target.only(left_out).pointwise(sample.draws).T
+    terms: FloatArray = logsumexp(density + _log(sample.weights), axis=1)
+    return terms, sample.k_hat < K_HAT_LIMIT

@@ -156,7 +156,13 @@ class Posterior:
 def posterior_of(fit: RobustFit, rows: Observations, priors: Priors) -> LogPosterior:
     """Return the log posterior density of the model of `fit`, with its outliers and tails."""
     return log_posterior(
-        rows, MODELS[fit.model], priors, fit.theta, aside=fit.aside, tails=fit.tails
+        rows,
+        MODELS[fit.model],
+        priors,
+        fit.theta,
+        aside=fit.aside,
+        tails=fit.tails,
+        followed=fit.group_freedom,
     )
 
 
@@ -165,7 +171,8 @@ def laplace(fit: RobustFit, target: LogPosterior) -> tuple[FloatArray, FloatArra
 
     The noise scale has about n - p rows to it, and its prior.
     """
-    rows_for_scale = max(np.count_nonzero(target.power) - fit.data_parameters, 0.0)
+    taken = fit.data_parameters + fit.group_freedom
+    rows_for_scale = max(np.count_nonzero(target.power) - taken, 0.0)
     centre = np.append(fit.values, np.log(fit.noise_scale))
     covariance = np.zeros((len(centre), len(centre)))
     covariance[:-1, :-1] = fit.covariance - fit.by_shared @ fit.by_shared.T

@@ -16,14 +16,14 @@ import numpy as np
 
 from calib.arrays import BoolArray, FloatArray
 from calib.errors import EstimationError
-from calib.fit.noise import CLEAN, ROBUST, Tails, is_outlier, own_sigma, set_aside, weight
+from calib.fit.groups import wider_part
+from calib.fit.noise import CLEAN, ROBUST, Tails, is_outlier, set_aside
 from calib.fit.priors import Priors, measured_of, prior_of
 from calib.fit.row_sums import residuals
 from calib.fit.settle import Problem, Solution, inverse
 from calib.fit.start import find_start, some_rows
-from calib.geometry.closure import closure
 from calib.geometry.parameters import MODELS, Model, embed
-from calib.observations import Observations
+from calib.observations import GROUP_SOURCE, Observations
 
 ROUGH = 1e-3
 """Relative change of estimate and scale at which they tell outliers from other rows."""
@@ -62,7 +62,10 @@ class RobustFit:
         Shape (p, p), with the errors shared by all rows.
     by_shared
         Change of the values per unit of each shared standard-normal error, shape (p, k); its
-        square is contained in `covariance`.
+        square is contained in `covariance`. The errors are those of the rows, and after them what
+        groups of rows add that share a reference depth (`calib.fit.groups`).
+    shared_names
+        One name a shared error, length k.
     residual_mrad
         (num / z) - (x1c + cot a), mrad, shape (n,).
     sigma_mrad
@@ -80,6 +83,9 @@ class RobustFit:
         Of the rows' density.
     data_parameters
         Effective number of parameters that the rows decide (the rest is decided by priors).
+    group_freedom
+        Degrees of freedom that the parameters take beyond these, as they follow the errors that
+        rows of a group share.
     identified_by
         "data", "prior" or "both" for each parameter.
     data_share
@@ -93,6 +99,7 @@ class RobustFit:
     values: FloatArray
     covariance: FloatArray
     by_shared: FloatArray
+    shared_names: tuple[str, ...]
     residual_mrad: FloatArray
     sigma_mrad: float
     standardised: FloatArray
@@ -101,9 +108,15 @@ class RobustFit:
     aside: BoolArray
     tails: Tails
     data_parameters: float
+    group_freedom: float
     identified_by: tuple[str, ...]
     data_share: FloatArray
     evaluations: int
+
+    @property
+    def by_groups(self) -> FloatArray:
+        """What of `by_shared` groups of rows with one reference depth add, shape (p, r)."""
+        return self.by_shared[:, [name == GROUP_SOURCE for name in self.shared_names]]
 
     @property
     def theta(self) -> FloatArray:
@@ -193,7 +206,8 @@ def _describe(problem: Problem, fit: Solution, rows: Observations, aside: BoolAr
     """
     model, prior = problem.model, problem.prior
     own = inverse(fit.data + prior.precision, model)
-    by_shared = _by_shared(problem, fit)
+    by_shared = _by_shared(problem, fit, own)
+    added = by_shared.shape[1] - len(rows.shared_names)
     found = residuals(fit.theta, rows)
     standardised, residual = found.standardised, found.mrad
     outlier = aside | is_outlier(standardised, fit.scale)
@@ -207,6 +221,7 @@ def _describe(problem: Problem, fit: Solution, rows: Observations, aside: BoolAr
         values=fit.theta[list(model.indices)],
         covariance=own + by_shared @ by_shared.T,
         by_shared=by_shared,
+        shared_names=(*rows.shared_names, *(GROUP_SOURCE,) * added),
         residual_mrad=residual,
         sigma_mrad=float(np.sqrt((residual[~outlier] ** 2).sum() / freedom)),
         standardised=standardised,
@@ -215,6 +230,7 @@ def _describe(problem: Problem, fit: Solution, rows: Observations, aside: BoolAr
         aside=aside,
         tails=problem.tails,
         data_parameters=fit.decided,
+        group_freedom=fit.groups.followed,
         identified_by=tuple(identified_by(x) for x in share),
         data_share=share,
         evaluations=fit.evaluations,
@@ -239,20 +255,18 @@ At 0.75 the priors, of this parameter and of those tied to it, take a quarter of
 deviation that the data alone would give; at 0.25 three quarters."""
 
 
-def _by_shared(problem: Problem, fit: Solution) -> FloatArray:
+def _by_shared(problem: Problem, fit: Solution, own: FloatArray) -> FloatArray:
     """Return the change of the estimate per unit of each shared error, shape (p, k).
 
-    By the implicit function theorem on the weighted normal equations, with the weights that the
-    loss leaves each row.
+    Parameters
+    ----------
+    own
+        Covariance of the estimate without shared errors, shape (p, p).
     """
-    rows, model, tails = problem.rows, problem.model, problem.tails
-    if not rows.shared_names:
-        return np.zeros((len(model.free), 0))
-    c = closure(fit.theta, rows.gaze, rows.z_mm, parameters=model.indices)
-    sigma = own_sigma(c, rows.std)
-    strength = np.sqrt(weight(c.value / sigma, fit.scale, tails)) / (tails.core * fit.scale * sigma)
-    slope = strength[:, None] * c.by_theta
-    push = strength[:, None] * np.einsum("nq,nqk->nk", c.by_observable, rows.shared)
-    known = problem.prior.precision + problem.measured.precision
-    change: FloatArray = -inverse(slope.T @ slope + known, model) @ (slope.T @ push)
+    rows = problem.rows
+    change = np.zeros((len(problem.model.free), 0))
+    if rows.shared_names:
+        change = problem.response(fit.theta, fit.scale).to_shared(rows.shared)
+    if rows.has_groups:
+        change = np.hstack([change, wider_part(fit.groups.added, own, noise_scale=fit.scale)])
     return change

@@ -16,11 +16,21 @@ from scipy.optimize import least_squares
 
 from calib.arrays import BoolArray, FloatArray
 from calib.errors import EstimationError
-from calib.fit.noise import KEPT_SHARE, SPARE_FREEDOM, Tails, row_noise, set_aside
+from calib.fit.groups import added_covariance
+from calib.fit.noise import (
+    KEPT_SHARE,
+    SPARE_FREEDOM,
+    Tails,
+    own_sigma,
+    row_noise,
+    set_aside,
+    weight,
+)
 from calib.fit.priors import NormalKnowledge
 from calib.fit.row_sums import RowSums, sum_rows
 from calib.geometry.closure import closure, closure_value
 from calib.geometry.parameters import PARAMETERS, Model, embed
+from calib.geometry.plane import OBSERVABLE
 from calib.observations import Observations
 
 ROUNDS = 12
@@ -59,6 +69,58 @@ def _loss(rows: int, scale: float, tails: Tails) -> Callable[..., FloatArray]:
 
 
 @dataclass(frozen=True)
+class GroupEffect:
+    """What follows from groups of rows that share the error of a reference depth.
+
+    Parameters
+    ----------
+    added
+        To the estimate's covariance with rows taken as independent, shape (p, p).
+    followed
+        Degrees of freedom that the parameters take beyond those they decide, as they follow such
+        errors: these leave less of themselves in the residuals than independent ones.
+    """
+
+    added: FloatArray
+    followed: float
+
+
+@dataclass(frozen=True)
+class Response:
+    """The change of an estimate by errors of the rows.
+
+    By the implicit function theorem on the weighted normal equations, with the weights that the
+    loss leaves each row.
+
+    Parameters
+    ----------
+    slope, strength
+        Weighted derivative of the closures by the parameters, shape (n, p), and the weights, (n,).
+    by_observable
+        Derivative of the closures by what is observed, shape (n, 5).
+    matrix
+        From the weighted gradient to the estimate, shape (p, p).
+    """
+
+    slope: FloatArray
+    strength: FloatArray
+    by_observable: FloatArray
+    matrix: FloatArray
+
+    def to_shared(self, loadings: FloatArray) -> FloatArray:
+        """Return the change per unit of each error that rows share, (p, k), loadings (n, 5, k)."""
+        push = self.strength[:, None] * np.einsum("nq,nqk->nk", self.by_observable, loadings)
+        change: FloatArray = self.matrix @ (self.slope.T @ push)
+        return change
+
+    def to_depths(self, error_mm: FloatArray) -> FloatArray:
+        """Return the change by an error of each row's reference depth alone, shape (n, p)."""
+        push = self.strength * self.by_observable[:, OBSERVABLE.z] * error_mm
+        change: FloatArray = (self.slope * push[:, None]) @ self.matrix
+        return change
+
+
+@dataclass(frozen=True)
 class Solution:
     """What the rounds of a fit arrive at.
 
@@ -70,6 +132,8 @@ class Solution:
         The noise scale.
     decided
         Effective number of parameters that the rows and measured knowledge decide.
+    groups
+        What rows do that share a reference depth.
     data
         Information of rows and measured knowledge, without the priors', shape (p, p).
     evaluations
@@ -79,6 +143,7 @@ class Solution:
     theta: FloatArray
     scale: float
     decided: float
+    groups: GroupEffect
     data: FloatArray
     evaluations: int
 
@@ -123,12 +188,12 @@ class Problem:
             theta = embed(free, self.model.free)
             sums = self._sums(theta, scale)
             sigma = sums.sigma
-            decided = self._decided(sums)
-            scale = self._clean_scale(sums.standardised, decided)
+            decided, groups = self._decided(sums), self._groups(theta, scale, sums)
+            scale = self._clean_scale(sums.standardised, decided + groups.followed)
             if np.allclose(np.append(free, scale), before, rtol=accuracy, atol=1e-12):
                 break
         data = sums.information + self.measured.precision
-        return Solution(theta, scale, decided, data, evaluations)
+        return Solution(theta, scale, decided, groups, data, evaluations)
 
     def settle_near(self, theta: FloatArray, scale: float) -> Solution | None:
         """Return what `settle` does, by Newton steps from a start so near that all are small.
@@ -142,11 +207,11 @@ class Problem:
             if not length <= np.sqrt(len(self.rows)) * SMALL_STEP:
                 return None
             theta = theta + embed(step, self.model.free)
-            decided = self._decided(sums)
-            scale = self._clean_scale(sums.standardised, decided)
+            decided, groups = self._decided(sums), self._groups(theta, scale, sums)
+            scale = self._clean_scale(sums.standardised, decided + groups.followed)
             if length <= LAST_STEP and abs(scale - before) <= FINAL * before:
                 data = sums.information + self.measured.precision
-                return Solution(theta, scale, decided, data, passes)
+                return Solution(theta, scale, decided, groups, data, passes)
         return None
 
     def noise_scale(self, standardised: FloatArray, parameters: float) -> float:
@@ -235,6 +300,26 @@ class Problem:
         total = sums.information + self.measured.precision + known
         # Exactly p without priors: what hangs on whole degrees of freedom must not on rounding.
         return len(known) - float(np.trace(inverse(total, self.model) @ known))
+
+    def response(self, theta: FloatArray, scale: float) -> Response:
+        """Return how the estimate answers to errors of the rows."""
+        c = closure(theta, self.rows.gaze, self.rows.z_mm, parameters=self.model.indices)
+        sigma = own_sigma(c, self.rows.std)
+        strength = np.sqrt(weight(c.value / sigma, scale, self.tails))
+        strength /= self.tails.core * scale * sigma
+        slope = strength[:, None] * c.by_theta
+        known = self.prior.precision + self.measured.precision
+        matrix = -inverse(slope.T @ slope + known, self.model)
+        return Response(slope, strength, c.by_observable, matrix)
+
+    def _groups(self, theta: FloatArray, scale: float, sums: RowSums) -> GroupEffect:
+        """Return what follows from rows that share a reference depth."""
+        if not self.rows.has_groups:
+            return GroupEffect(np.zeros_like(sums.information), 0.0)
+        by_row = self.response(theta, scale).to_depths(self.rows.u_z_group_mm)
+        added = added_covariance(by_row, self.rows.z_group)
+        total = sums.information + self.measured.precision + self.prior.precision
+        return GroupEffect(added, float(np.trace(total @ added)))
 
     def _clean_scale(self, standardised: FloatArray, parameters: float) -> float:
         """Return the noise scale of the rows that are not set aside as outliers."""

@@ -158,7 +158,8 @@ def _noise(settings: RowSettings, rows: Observations | None) -> Noise:
         reading[OBSERVABLE.x1c] = reading[OBSERVABLE.y1c] = settings.u_x1c
         step = settings.encoder_step_rad / np.sqrt(12)
         reading[OBSERVABLE.alpha2] = np.hypot(step, settings.u_alpha2_rad)
-        return Noise(reading, settings.u_z_mm, settings.u_z_rel)
+        mm = float(np.hypot(settings.u_z_mm, settings.u_z_group_mm))
+        return Noise(reading, mm, float(np.hypot(settings.u_z_rel, settings.u_z_group_rel)))
     reading = np.median(rows.std[:, : OBSERVABLE.z], axis=0)
     return Noise(reading, *_depth_noise(rows.z_mm, rows.std[:, OBSERVABLE.z]))
 
@@ -196,13 +197,24 @@ def _from_rows(
     else:
         theta = fit.theta
         if reason is None:
-            information = row_information(rows, fit) + precision
+            information = _without_groups(row_information(rows, fit) + precision, fit.by_groups)
             return Knowledge(model, theta, information, fit.noise_scale), ()
     # Too few rows to judge their noise: as stated, it will do to tell where more belong.
     before = Knowledge(model, theta, precision)
     slope = row_vectors(before, rows)
     note = f"too little for {model.name} yet ({reason}): uncertainties are taken as stated"
     return Knowledge(model, theta, slope.T @ slope + precision), (note,)
+
+
+def _without_groups(information: FloatArray, by_groups: FloatArray) -> FloatArray:
+    """Return the information, (p, p), that is left where groups of rows err together.
+
+    The inverse of the covariance with what they add, by_groups @ by_groups.T (Woodbury).
+    """
+    carried = information @ by_groups
+    inner = np.eye(by_groups.shape[1]) + by_groups.T @ carried
+    left: FloatArray = information - carried @ np.linalg.solve(inner, carried.T)
+    return left
 
 
 def _from_priors(model: Model, priors: Priors, baseline_mm: float | None) -> Knowledge:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.dataset.contents import Dataset
-from calib.dataset.manifest import DEFAULT_U_X1C, Manifest
+from calib.dataset.manifest import DEFAULT_U_X1C, Gaze, Manifest, Validation
 from calib.dataset.tables import GazeTable
 from calib.provenance import Provenance
 from calib.uncertainty.format import significant
@@ -123,19 +123,33 @@ def _statements(dataset: Dataset) -> list[Statement]:
                 )
             )
         found.append(_depth("calibration", dataset.gaze, m.gaze.u_z_mm, m.gaze.u_z_rel))
+        found += _group("calibration", m.gaze)
     if m.validation is not None and dataset.validation is not None:
         u_z_mm, u_z_rel = m.validation.u_z_mm, m.validation.u_z_rel
         found.append(_depth("validation", dataset.validation, u_z_mm, u_z_rel))
+        found += _group("validation", m.validation)
     return found
 
 
 def _depth(kind: str, rows: GazeTable, u_mm: float, u_rel: float) -> Statement:
     """Return the statement on the uncertainty of reference depths."""
-    parts = [f"{u_mm:g} mm"] if u_mm else []
-    parts += [f"{significant(100 * u_rel, digits=2)} % of z"] if u_rel else []
     what = f"u(z) of a {kind} row's reference"
     if any(rows.stereo):
         return Statement(what, "with its covariance", "stereo pairs")
     if np.isfinite(rows.u_z_mm).any():
         return Statement(what, "each its own", IN_ROWS)
-    return Statement(what, " and ".join(parts) or "none stated: taken as exact", IN_MANIFEST)
+    return Statement(what, _size(u_mm, u_rel) or "none stated: taken as exact", IN_MANIFEST)
+
+
+def _group(kind: str, section: Gaze | Validation) -> list[Statement]:
+    """Return the statement on what references of one group have in common, if there is one."""
+    size = _size(section.u_z_group_mm, section.u_z_group_rel)
+    what = f"u(z) that {kind} rows of one group have in common"
+    return [Statement(what, size, IN_MANIFEST)] if size else []
+
+
+def _size(u_mm: float, u_rel: float) -> str:
+    """Return an uncertainty of depth in words; nothing for none."""
+    parts = [f"{u_mm:g} mm"] if u_mm else []
+    parts += [f"{significant(100 * u_rel, digits=2)} % of z"] if u_rel else []
+    return " and ".join(parts)

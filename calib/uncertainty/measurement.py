@@ -15,6 +15,9 @@ PARAMETERS_LABEL = "parameters"
 READING_NAMES = ("x1c", "y1c", "alpha2", "gaze residual")
 """Names of the errors of a reading, in the order of OBSERVABLE."""
 
+READINGS = len(READING_NAMES)
+"""Observed quantities of a gaze."""
+
 
 @dataclass(frozen=True)
 class Spread:
@@ -81,7 +84,7 @@ class ParameterKnowledge:
 
 @dataclass(frozen=True)
 class SharedErrors:
-    """Errors common to all readings: m independent standard-normal variables.
+    """Errors common to rows and readings: m independent standard-normal variables.
 
     Parameters
     ----------
@@ -93,11 +96,19 @@ class SharedErrors:
     own_draws
         The draws of the parameters less what the shared errors have moved each by, (draws, k); None
         where there are no draws.
+    of_rows_alone
+        So many of them, the last, are errors of the calibration rows that no reading has.
     """
 
     names: tuple[str, ...]
     with_parameters: FloatArray
     own_draws: FloatArray | None = None
+    of_rows_alone: int = 0
+
+    @property
+    def of_readings(self) -> int:
+        """How many, the first, are errors of readings too."""
+        return len(self.names) - self.of_rows_alone
 
 
 @dataclass(frozen=True)
@@ -134,6 +145,19 @@ class Instrument:
         if self.shared is None:
             return np.zeros((len(self.parameters.names), 0))
         return self.shared.with_parameters
+
+    def loadings(self, given: FloatArray | None, count: int) -> FloatArray:
+        """Return the loadings of all m shared errors on readings, shape (count, 4, m).
+
+        Parameters
+        ----------
+        given
+            Of those that readings have, shape (count, 4, k); None if they are all 0.
+        """
+        loadings = np.zeros((count, READINGS, self.by_shared.shape[1]))
+        if given is not None and self.shared is not None:
+            loadings[:, :, : given.shape[2]] = given
+        return loadings
 
     @property
     def own_draws(self) -> FloatArray | None:
@@ -200,7 +224,7 @@ class Reading:
     alpha2_rad, gaze_residual_rad
         Encoder reading and gaze residual, rad.
     shared
-        Loadings of the shared errors on the four, shape (4, m); None without shared errors.
+        Loadings of the shared errors that readings have on the four, shape (4, k); None without.
     depth_from
         Another reading whose depth this point has, such as that of its board's centre; None if it
         was gazed at itself. Points of one board must name one and the same reading.

@@ -2,9 +2,10 @@
 
 The inputs are, in this order: the parameters with what rows and priors leave uncertain of them (one
 multivariate estimate), the shared errors (what the intrinsics and the pose of C2 have wrong, which
-falsifies every reading and has falsified the parameters), and the errors of each reading. The three
-are independent of each other: a budget in them needs correlations between parameters only, and each
-source of shared errors has one line, its effects by both ways added with their signs.
+falsifies every reading and has falsified the parameters; or what several rows have wrong together,
+which has falsified the parameters alone), and the errors of each reading. The three are independent
+of each other: a budget in them needs correlations between parameters only, and each source of
+shared errors has one line, its effects by both ways added with their signs.
 """
 
 from __future__ import annotations
@@ -25,12 +26,13 @@ from calib.uncertainty.distributions import Inputs, NormalInputs, RectangularInp
 from calib.uncertainty.measurement import (
     PARAMETERS_LABEL,
     READING_NAMES,
+    READINGS,
     Instrument,
     ParameterKnowledge,
     Reading,
     ReadingSpread,
 )
-from calib.uncertainty.position import READINGS, in_front, positions
+from calib.uncertainty.position import in_front, positions
 from calib.uncertainty.trials import ReadingErrors, Trials, own_inputs, reading_errors
 
 _UNITS = ("1", "1", "rad", "rad")
@@ -74,12 +76,10 @@ class MeasurementModel:
         shared = instrument.shared
         self._shared_names = () if shared is None else shared.names
         self._by_shared = instrument.by_shared
-        self._loadings = np.zeros((len(readings), READINGS, len(self._shared_names)))
-        if shared is not None:
-            for i, r in enumerate(readings):
-                if r.shared is None:
-                    raise ValueError("a reading of an instrument with shared errors needs loadings")
-                self._loadings[i] = r.shared
+        given = [r.shared for r in readings if r.shared is not None]
+        if shared is not None and shared.of_readings and len(given) < len(readings):
+            raise ValueError("a reading of an instrument with shared errors needs loadings")
+        self._loadings = instrument.loadings(np.stack(given) if given else None, len(readings))
         self._own = tuple(_own_errors(instrument.reading, len(readings)))
 
     @property

@@ -14,9 +14,6 @@ from calib.arrays import FloatArray
 from calib.geometry.closure import depth_jacobian
 from calib.geometry.plane import OBSERVABLE, Gaze, depth
 
-READINGS = 4
-"""Observed quantities of a gaze: x1c, y1c, alpha2, gaze residual, in the order of OBSERVABLE."""
-
 
 @dataclass(frozen=True)
 class PositionJacobian:

@@ -13,7 +13,7 @@ from calib.geometry.plane import Gaze, drawn_planes
 from calib.uncertainty.distributions import factor
 from calib.uncertainty.measurement import PARAMETERS_LABEL, READING_NAMES, Instrument
 from calib.uncertainty.montecarlo import NORMAL_FACTOR, numerical_tolerance
-from calib.uncertainty.position import READINGS, in_front, position_jacobian
+from calib.uncertainty.position import in_front, position_jacobian
 
 DRAWS = 16_000
 """Trials a reading: the ends of a 95 % interval are then known to 2 % of u."""
@@ -111,8 +111,8 @@ def depth_draws(
     Infinite where the drawn ray does not meet the drawn plane in front of C1. Parameters as
     `predict_depths`, and `most`, the greatest number of draws a gaze.
     """
-    n, m = len(gaze), instrument.by_shared.shape[1]
-    loadings = np.zeros((n, READINGS, m)) if loadings is None else loadings
+    n = len(gaze)
+    loadings = instrument.loadings(loadings, n)
     nominal = np.stack([gaze.x1c, gaze.y1c, gaze.alpha2, gaze.residual], axis=1)
     count = int(np.clip(CHUNK_ELEMENTS // max(n, 1), FEW, most))
     thetas, shared, errors = _draws(instrument, rng, count)
@@ -196,8 +196,8 @@ def linear_positions(
     k, m = by_shared.shape
     jacobian = position_jacobian(instrument.theta, gaze)
     by_theta = jacobian.by_theta[:, :, [INDEX[name] for name in p.names]]
-    loadings = np.zeros((len(gaze), READINGS, m)) if loadings is None else loadings
-    through_both = by_theta @ by_shared + jacobian.by_reading @ loadings
+    given = instrument.loadings(loadings, len(gaze))
+    through_both = by_theta @ by_shared + jacobian.by_reading @ given
     joint = np.eye(k + m)
     joint[:k, :k] = instrument.own_covariance
     std = reading_std

@@ -29,9 +29,8 @@ from calib.uncertainty.distributions import (
     draw,
     triangular_factor,
 )
-from calib.uncertainty.measurement import Instrument
+from calib.uncertainty.measurement import READINGS, Instrument
 from calib.uncertainty.montecarlo import BLOCK_TRIALS
-from calib.uncertainty.position import READINGS
 
 
 @dataclass(frozen=True)

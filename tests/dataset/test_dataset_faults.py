@@ -194,6 +194,16 @@ FAULTS = {
         {},
         ["[cameras.c1] images", "wildcards in more than 2 places"],
     ),
+    "error of groups without groups": (
+        replaced(MANIFEST, "u_z_rel = 0.002", "u_z_group_rel = 0.002"),
+        {},
+        ["[gaze] u_z_group_rel", "gaze.csv names no groups", "column group"],
+    ),
+    "the same of validation rows": (
+        f"{MANIFEST}\n{section('validation', 'v.csv')}u_z_group_mm = 1\n",
+        {"v__csv": GAZE},
+        ["[validation] u_z_group_mm", "v.csv names no groups"],
+    ),
     "table in Latin-1": (
         MANIFEST,
         {"gaze__csv": GAZE.encode() + "7,0,0,9°,500\n".encode("latin-1")},

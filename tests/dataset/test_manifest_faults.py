@@ -45,6 +45,16 @@ FAULTS = {
     "step in arc seconds": ("0.05625", "202.5", ["resolution_deg", "arc seconds", "degrees"]),
     "square in metres": ("25.0", "0.025", ["[board] square_mm", "metres", "millimetres"]),
     "per cent": ("u_z_rel = 0.002", "u_z_rel = 2", ["[gaze] u_z_rel", "per cent", "0.01"]),
+    "per cent of groups": (
+        "u_z_rel = 0.002",
+        "u_z_group_rel = 2",
+        ["[gaze] u_z_group_rel", "per cent", "0.01"],
+    ),
+    "negative error of groups": (
+        "u_z_rel = 0.002",
+        "u_z_group_mm = -1",
+        ["[gaze] u_z_group_mm", "-1"],
+    ),
     "pixels": ("u_x1c = 0.0002", "u_x1c = 0.1", ["[gaze] u_x1c", "pixels", "fx"]),
     "huge number": ("25.0", "1" + 400 * "0", ["[board] square_mm", "1329 bits"]),
     "number beyond Python's digits": ("25.0", 5000 * "9", ["dataset.toml", "characters long"]),

@@ -26,9 +26,10 @@ OBSERVED = {"observations", "sense", "base/linear", "base/convex"}
 ROBUST = {f"{model}/robust" for model in ("base", "axis-offset", "axis-tilt", "encoder")}
 POSTERIOR = {"base/posterior", "axis-offset/posterior"}
 TOLD = {"base/identifiability", "axis-offset/identifiability"}
+GROUPS = {"groups"}
 AFTER = {"comparison", "instrument", "average", "depths", "validation", "certified depths"}
 SETUPS = {"setup gaze", "setup validation"}
-GAZE = OBSERVED | ROBUST | POSTERIOR | TOLD | AFTER
+GAZE = OBSERVED | ROBUST | POSTERIOR | TOLD | GROUPS | AFTER
 ALL = GAZE | SETUPS | {"validation rows"}
 
 
@@ -137,7 +138,7 @@ INPUTS = {
         "dataset.toml",
         "[gaze]",
         "[priors]\naxis_z_mm = [0, 30]\n[gaze]",
-        ROBUST | POSTERIOR | TOLD | AFTER,
+        ROBUST | POSTERIOR | TOLD | GROUPS | AFTER,
     ),
     "words": ("dataset.toml", 'name = "rig"', 'name = "rig"\ntitle = "A rig"', set()),
     "a comment": ("dataset.toml", "format = 1", "format = 1  # the first", set()),
@@ -168,6 +169,7 @@ CODE = {
     "fit/compare.py": {"comparison", "average"},
     "fit/weights.py": {"comparison", "average"},
     "fit/identifiability.py": TOLD,
+    "fit/group_check.py": GROUPS,
     "uncertainty/predictive.py": AFTER - {"comparison"},
     "uncertainty/mixture.py": {"average"},
     "geometry/plane.py": ALL,

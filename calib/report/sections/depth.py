@@ -6,6 +6,7 @@ import numpy as np
 from markupsafe import Markup
 
 from calib.instrument import CalibratedInstrument, DepthTable
+from calib.observations import GROUP_SOURCE
 from calib.report.blocks import Block, Cell, Paragraph, Section, Table, table, words
 from calib.report.context import ReportContext
 from calib.report.figures.depth import draw_depth_uncertainty
@@ -73,8 +74,17 @@ def _sources(depths: DepthTable) -> Table:
         note="The sources are independent and add up in quadrature. Parameters: what rows and "
         "priors leave uncertain of them. Intrinsics and pose of the cameras: what their errors do "
         "to a depth by way of the parameters and of the reading together, the later ones as far "
-        "as the earlier do not explain them. A row with the largest numbers is what to improve.",
+        f"as the earlier do not explain them. {_groups(depths)}A row with the largest numbers is "
+        "what to improve.",
     )
+
+
+def _groups(depths: DepthTable) -> str:
+    """Return what the line of groups of rows means, if there is one."""
+    if GROUP_SOURCE not in depths.sources_mm:
+        return ""
+    what = "what it adds that rows with one reference err together and not one by one"
+    return f"{GROUP_SOURCE.capitalize()}: {what}. "
 
 
 def _table(depths: DepthTable) -> Table:

@@ -15,7 +15,8 @@ from calib.arrays import FloatArray
 from calib.errors import InputError
 from calib.geometry.camera import Camera
 from calib.geometry.parameters import NAMES
-from calib.observe import CameraSet, RowSettings, Setup, Shared
+from calib.observe import CameraSet, RowSettings, Setup
+from calib.shared_errors import Shared
 from calib.uncertainty.measurement import (
     Instrument,
     ModelShare,

@@ -31,7 +31,8 @@ from calib.images.stereo_solve import CameraPair
 from calib.images.sweep import SweepResult
 from calib.images.sweep_solve import SweepReadings
 from calib.images.types import Corners
-from calib.observe import CameraSet, Shared, Sightings
+from calib.observe import CameraSet, Sightings
+from calib.shared_errors import Shared
 from calib.store import Staged, Step, Store, given
 
 CAMERAS = ("c1", "c2")

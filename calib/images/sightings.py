@@ -18,7 +18,8 @@ from calib.images.stereo import StereoReference
 from calib.images.stereo_solve import CameraPair
 from calib.images.triangulate import shared_names
 from calib.images.types import Board, Corners
-from calib.observe import U_PIXEL, CameraSet, Shared, Sightings
+from calib.observe import U_PIXEL, CameraSet, Sightings
+from calib.shared_errors import Shared
 
 POSE = 6
 """Unknowns of the pose of a board."""

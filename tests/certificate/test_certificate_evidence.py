@@ -15,7 +15,8 @@ from calib.geometry.camera import Camera
 from calib.geometry.plane import gaze_at
 from calib.instrument import CalibratedInstrument, ValidationResult
 from calib.observations import Observations
-from calib.observe import CameraSet, RowSettings, Setup, Shared, ValidationRows
+from calib.observe import CameraSet, RowSettings, Setup, ValidationRows
+from calib.shared_errors import Shared
 from calib.uncertainty.measurement import Instrument, ParameterKnowledge, SharedErrors
 from calib.uncertainty.predictive import DepthPrediction
 

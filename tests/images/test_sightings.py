@@ -10,7 +10,8 @@ from calib.arrays import FloatArray
 from calib.dataset.tables import GazeTable
 from calib.images.sightings import CornerNoise, sight
 from calib.images.types import Corners
-from calib.observe import CameraSet, Shared, Sightings
+from calib.observe import CameraSet, Sightings
+from calib.shared_errors import Shared
 
 INTRINSICS_PX = 0.02
 ROWS_PX = 0.08

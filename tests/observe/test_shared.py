@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.observe import Shared
+from calib.shared_errors import Shared
 
 NAMES = ("c1.fx", "c1.cx", "c2.fx", "c2.cx", "r12.x", "t12.x", "t12.z")
 SOURCES = {

@@ -12,10 +12,11 @@ import pytest
 
 from calib.calibration_file import Measuring
 from calib.errors import UsageError
-from calib.observe import CameraSet, RowSettings, Setup, Shared
+from calib.observe import CameraSet, RowSettings, Setup
 from calib.runs.command import add_arguments, run
 from calib.runs.drift import FAMILY_RISK, Run, drift
 from calib.runs.output import html, tables, text
+from calib.shared_errors import Shared
 from calib.uncertainty.measurement import Instrument, ParameterKnowledge, ReadingSpread
 
 NAMES = ("baseline_mm", "delta2_rad", "axis_z_mm", "eccentricity_mm")

@@ -10,6 +10,8 @@ from pathlib import Path
 import cv2
 import pytest
 
+import calib.store
+
 sys.path.insert(0, str(Path(__file__).parents[2] / "tools"))
 
 import bench_calls
@@ -44,20 +46,26 @@ def test_nested_calls_count_once_and_threads_add_up() -> None:
 
 def test_calls_are_found_under_the_names_modules_gave_them() -> None:
     """`from ... import least_squares` is another name; afterwards all is as it was."""
-    from calib.fit import robust
+    from calib.fit import settle
 
-    plain, finder = robust.least_squares, cv2.findChessboardCorners
+    plain, finder = settle.least_squares, cv2.findChessboardCorners
     meter = bench_calls._Meter()
     with bench_calls._metered(meter):
-        assert robust.least_squares is not plain
+        assert settle.least_squares is not plain
         assert cv2.findChessboardCorners is not finder
-        robust.least_squares(lambda x: x - 1, [0.0])
-    assert robust.least_squares is plain
+        settle.least_squares(lambda x: x - 1, [0.0])
+    assert settle.least_squares is plain
     assert cv2.findChessboardCorners is finder
     assert meter.inside["solvers"] > 0
 
 
-def test_ratio() -> None:
-    times = RunTimes(12.0, bench_calls.Counter(dict.fromkeys(KINDS, 2.0)))
-    assert times.over("detectors", "solvers") == pytest.approx(3.0)
-    assert times.over(*KINDS) == pytest.approx(12.0 / (2.0 * len(KINDS)))
+def test_calls_are_added_up() -> None:
+    times = RunTimes(12.0, bench_calls.Counter(dict.fromkeys(KINDS, 2.0)), 8.0)
+    assert times.calls("detectors", "solvers") == pytest.approx(4.0)
+    assert times.calls(*KINDS) == pytest.approx(2.0 * len(KINDS))
+
+
+def test_calls_are_of_one_process() -> None:
+    """What workers spend would be found in no call."""
+    with bench_calls._metered(bench_calls._Meter()):
+        assert calib.store.processors() == 1

@@ -248,7 +248,12 @@ def _run(
         if done < look:
             continue
         chain = np.stack([s.get_chain() for s in samplers])
-        tau = np.mean([_tau(c) for c in chain], axis=0)
+        with np.errstate(over="ignore", invalid="ignore"):
+            tau = np.mean([_tau(c) for c in chain], axis=0)
+        if not np.isfinite(tau).all():
+            raise EstimationError(
+                "the walkers run away without bound: rows and priors leave the parameters open"
+            )
         expected = max(TAU_MULTIPLE, ESS_GOAL / (ENSEMBLES * walkers)) * float(tau.max())
         converged = done >= expected and float(_r_hat(chain).max()) < R_HAT_LIMIT
         if converged or done >= MAXIMUM_STEPS:

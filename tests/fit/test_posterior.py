@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from fit_rows import NO_PRIORS, simulated, table_1
 from numpy.random import SeedSequence
 from scipy.stats import multivariate_normal
 
+from calib.errors import EstimationError
 from calib.fit.compare import compare_models, select
 from calib.fit.density import log_posterior
 from calib.fit.importance import sample_importance
@@ -120,6 +123,14 @@ def test_posterior_of_table_1(posteriors: dict[str, Posterior]) -> None:
     # The prior of e is 10 mm; the rows say nearly nothing.
     assert np.sqrt(offset.covariance[3, 3]) == pytest.approx(10, abs=0.5)
     assert offset.identified_by[offset.names.index("eccentricity_mm")] == "prior"
+
+
+def test_walkers_that_run_away_are_named(fits: dict[str, RobustFit]) -> None:
+    """Rows that say nothing, as from images whose intrinsics are open, and no prior of L_b."""
+    told = table_1()
+    rows = replace(told, std=1e100 * told.std)
+    with pytest.raises(EstimationError, match="run away without bound"):
+        sample_posterior(rows, fits["base"], NO_PRIORS, seed=SeedSequence(1))
 
 
 def test_same_seed_same_draws(fits: dict[str, RobustFit], posteriors: dict[str, Posterior]) -> None:

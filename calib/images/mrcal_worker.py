@@ -15,10 +15,13 @@ import json
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    # Not in numpy before 1.21, and the system's may be older.
+    from numpy.typing import NDArray
 
 MISSING = 4
 """Exit status when mrcal cannot be imported."""
@@ -161,8 +164,8 @@ def linearise(problem: Problem, columns: list[int]) -> dict[str, Any]:
     count = 2 * used.size
     residuals = -x[:count].reshape(*used.shape, 2)
     residuals[~used] = np.nan
-    free = max(1, 2 * int(used.sum()) - len(state))
-    sigma = float(np.sqrt(np.nansum(residuals**2) / free))
+    freedom = max(1, 2 * int(used.sum()) - len(state))
+    sigma = float(np.sqrt(np.nansum(residuals**2) / freedom))
     reply: dict[str, Any] = {"residuals": residuals, "sigma_px": sigma}
     if not columns:
         return reply
@@ -177,8 +180,8 @@ def linearise(problem: Problem, columns: list[int]) -> dict[str, Any]:
         spread = jacobian[:count] @ factorization.solve_xt_JtJ_bt(gradient).T
         return np.asarray(spread.T @ spread * sigma**2)
 
-    free = problem.mrcal.optimizer_callback(**{**inputs, "do_apply_regularization": False})[3]
-    own = None if free is None else covariance(free)
+    alone = problem.mrcal.optimizer_callback(**{**inputs, "do_apply_regularization": False})[3]
+    own = None if alone is None else covariance(alone)
     closed = own is not None and determined(own)
     reply["covariance"] = own if closed else covariance(regularised)
     return reply
@@ -284,7 +287,7 @@ def version_of(mrcal: Any) -> str:
         return "unknown"
     query = ["dpkg-query", "--show", "--showformat=${Version}", "python3-mrcal"]
     try:
-        told = subprocess.run(query, capture_output=True, text=True, check=True)  # noqa: S603 - fixed
+        told = subprocess.run(query, capture_output=True, text=True, check=True)  # noqa: S603 - fixed words
     except (OSError, subprocess.CalledProcessError):
         return "unknown"
     return f"{told.stdout} (python3-mrcal of the system)"

@@ -103,11 +103,6 @@ def triangulate(
         Pose of C2 in C1, shape (6,).
     sigma_px
         Standard deviation of a coordinate, px.
-
-    Raises
-    ------
-    EstimationError
-        If the rays of a pair do not meet in front of the cameras.
     """
     points = _midpoints(pixels, cameras, pose_12)
     for _ in range(_NEWTON_STEPS):

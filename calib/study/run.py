@@ -37,8 +37,8 @@ def run_study(
     ------
     UsageError
         If the journal or the cluster cannot be used.
-    EstimationError
-        If workers die; what was finished is kept.
+    CalibError
+        If a worker dies; what was finished is kept.
     """
     # Rig by rig, so that an unfinished study has all conditions to the same depth.
     tasks = [

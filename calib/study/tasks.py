@@ -68,8 +68,8 @@ def perform_all(tasks: Sequence[Task], *, jobs: int, scheduler: str | None) -> I
     ------
     UsageError
         If the cluster cannot be reached.
-    EstimationError
-        If workers die again and again.
+    CalibError
+        If a worker dies; on a cluster, if several die over one rig.
     """
     if scheduler is not None:
         return _on_cluster(tasks, scheduler)

@@ -145,29 +145,6 @@ def _certified(
     )
 
 
-def certify_depth(
-    instrument: Instrument,
-    rays: Sequence[Reading],
-    rng: np.random.Generator,
-    *,
-    calibrated_mm: tuple[float, float],
-    tolerance: ToleranceRule | None,
-) -> CertifiedDepth:
-    """Return what a certificate says of one depth; see `certify_depths`.
-
-    Raises
-    ------
-    EstimationError
-        If the depth is so uncertain that it has no upper limit.
-    """
-    (found,) = certify_depths(
-        instrument, [rays], rng, calibrated_mm=calibrated_mm, tolerance=tolerance
-    )
-    if isinstance(found, EstimationError):
-        raise found
-    return found
-
-
 def check_depth(
     *,
     name: str,

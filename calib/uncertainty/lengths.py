@@ -184,23 +184,6 @@ def _error(length: Length, table: Budget, interval: Interval) -> LengthError:
     )
 
 
-def length_error(
-    instrument: Instrument,
-    rng: np.random.Generator,
-    *,
-    name: str,
-    start: Reading,
-    end: Reading,
-    reference_mm: float,
-    u_reference_mm: float,
-) -> LengthError:
-    """Return the error of one measured length; see `length_errors`."""
-    (found,) = length_errors(
-        instrument, [Length(name, start, end, reference_mm, u_reference_mm)], rng
-    )
-    return found
-
-
 def length_limit(errors: Sequence[LengthError]) -> LengthLimit:
     """Return the lowest line A + K L, A and K not negative, above every |error| + U.
 

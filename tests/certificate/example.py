@@ -19,13 +19,14 @@ from calib.certificate.inputs import (
     Provenance,
 )
 from calib.gates import Gate
-from calib.uncertainty.certified import CertifiedDepth, certify_depth, check_depth
+from calib.uncertainty.certified import CertifiedDepth, certify_depths, check_depth
 from calib.uncertainty.conformity import ToleranceRule, assess, measured_conformity
 from calib.uncertainty.depth import reading_at
-from calib.uncertainty.lengths import length_error, length_limit
+from calib.uncertainty.lengths import Length, length_errors, length_limit
 from calib.uncertainty.measurement import (
     Instrument,
     ParameterKnowledge,
+    Reading,
     ReadingSpread,
     SharedErrors,
     Spread,
@@ -136,13 +137,7 @@ def with_cameras() -> CertificateInputs:
     loading = np.zeros((4, 3))
     loading[0] = 1e-3, 0.0, 5e-4
     depths = tuple(
-        certify_depth(
-            rig,
-            [replace(reading_at(rig.theta, z_mm=z, x1c=0.1), shared=loading)],
-            np.random.default_rng(i),
-            calibrated_mm=CALIBRATED_MM,
-            tolerance=TOLERANCE,
-        )
+        _certify(rig, [replace(_ray(rig, z), shared=loading)], i, TOLERANCE)
         for i, z in enumerate((490, 740, 1000))
     )
     return replace(
@@ -152,16 +147,33 @@ def with_cameras() -> CertificateInputs:
     )
 
 
+def _ray(rig: Instrument, z_mm: float) -> Reading:
+    return reading_at(rig.theta, z_mm=z_mm, x1c=0.1)
+
+
+def _certify(
+    rig: Instrument, rays: list[Reading], seed: int, tolerance: ToleranceRule | None
+) -> CertifiedDepth:
+    (found,) = certify_depths(
+        rig,
+        [rays],
+        np.random.default_rng(seed),
+        calibrated_mm=CALIBRATED_MM,
+        tolerance=tolerance,
+    )
+    assert isinstance(found, CertifiedDepth)
+    return found
+
+
 def certified(
     rig: Instrument, depths: tuple[float, ...], tolerance: ToleranceRule | None
 ) -> tuple[CertifiedDepth, ...]:
     return tuple(
-        certify_depth(
+        _certify(
             rig,
             [reading_at(rig.theta, z_mm=z, x1c=x, y1c=0.05) for x in (-0.05, 0.1, 0.26)],
-            np.random.default_rng(i),
-            calibrated_mm=CALIBRATED_MM,
-            tolerance=tolerance,
+            i,
+            tolerance,
         )
         for i, z in enumerate(depths)
     )
@@ -230,15 +242,19 @@ def _evidence(posterior: bool) -> Evidence:
     )
     checks = (*checks[:-1], replace(checks[-1], low95_mm=1980.0, high95_mm=math.inf))
     lengths = tuple(
-        length_error(
+        length_errors(
             rig,
+            [
+                Length(
+                    name,
+                    start=reading_at(rig.theta, z_mm=near, x1c=-0.2),
+                    end=reading_at(rig.theta, z_mm=far, x1c=0.3),
+                    reference_mm=reference,
+                    u_reference_mm=0.5,
+                )
+            ],
             np.random.default_rng(3),
-            name=name,
-            start=reading_at(rig.theta, z_mm=near, x1c=-0.2),
-            end=reading_at(rig.theta, z_mm=far, x1c=0.3),
-            reference_mm=reference,
-            u_reference_mm=0.5,
-        )
+        )[0]
         for name, near, far, reference in (
             ("plate 2", 900.0, 950.0, 470.0),
             ("plate 3", 700.0, 720.0, 357.5),

@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 
 from calib.uncertainty.certified import (
     CERTIFIED_DEPTHS,
-    certify_depth,
+    CertifiedDepth,
+    certify_depths,
     check_depth,
     depths_to_certify,
 )
@@ -77,13 +78,14 @@ def test_an_error_beyond_its_uncertainty_is_not_consistent() -> None:
 def test_certified_depth_is_at_the_least_certain_ray() -> None:
     instrument = known_case.instrument()
     rays = [reading_at(instrument.theta, z_mm=800, x1c=x) for x in (-0.3, 0.0, 0.1)]
-    found = certify_depth(
+    (found,) = certify_depths(
         instrument,
-        rays,
+        [rays],
         np.random.default_rng(1),
         calibrated_mm=(500, 1000),
         tolerance=ToleranceRule(0.02, "simple"),
     )
+    assert isinstance(found, CertifiedDepth)
     assert found.result.x1c == -0.3
     assert not found.extrapolated
     assert found.conformity is not None

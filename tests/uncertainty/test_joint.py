@@ -23,7 +23,7 @@ from calib.uncertainty.depth import (
 )
 from calib.uncertainty.distributions import PARTS, draw
 from calib.uncertainty.joint import Asked, FixedNumber, Quantity, propagate_together
-from calib.uncertainty.lengths import Length, length_draws, length_error, length_errors
+from calib.uncertainty.lengths import Length, length_draws, length_errors
 from calib.uncertainty.measurement import (
     Instrument,
     ParameterKnowledge,
@@ -241,15 +241,7 @@ def test_lengths_together_agree_with_each_alone() -> None:
     found = length_errors(instrument, bars, np.random.default_rng(11))
     assert [error.name for error in found] == ["bar", "board"]
     for bar, error in zip(bars, found, strict=True):
-        other = length_error(
-            instrument,
-            np.random.default_rng(12),
-            name=bar.name,
-            start=bar.start,
-            end=bar.end,
-            reference_mm=bar.reference_mm,
-            u_reference_mm=bar.u_reference_mm,
-        )
+        (other,) = length_errors(instrument, [bar], np.random.default_rng(12))
         mc = length_draws(instrument, bar.start, bar.end, np.random.default_rng(13)).summary()
         assert error.measured_mm == other.measured_mm
         assert error.standard_uncertainty_mm == other.standard_uncertainty_mm

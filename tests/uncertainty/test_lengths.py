@@ -14,10 +14,11 @@ from calib.geometry.parameters import embed
 from calib.geometry.plane import Gaze
 from calib.uncertainty.depth import position_uncertainty, reading_at
 from calib.uncertainty.lengths import (
+    Length,
     LengthError,
     length_budget,
     length_draws,
-    length_error,
+    length_errors,
     length_limit,
 )
 from calib.uncertainty.measurement import Instrument, ReadingSpread
@@ -83,15 +84,8 @@ def test_monte_carlo_of_a_length_agrees_with_its_budget() -> None:
 def test_length_error_holds_its_reference() -> None:
     instrument = known_case.instrument()
     start, end = _ends(instrument)
-    found = length_error(
-        instrument,
-        np.random.default_rng(2),
-        name="bar",
-        start=start,
-        end=end,
-        reference_mm=400.0,
-        u_reference_mm=2.0,
-    )
+    bar = Length("bar", start, end, reference_mm=400.0, u_reference_mm=2.0)
+    (found,) = length_errors(instrument, [bar], np.random.default_rng(2))
     table = length_budget(instrument, start, end)
     assert found.error_mm == pytest.approx(table.estimate - 400)
     assert found.standard_uncertainty_mm == pytest.approx(math.hypot(table.standard_uncertainty, 2))

@@ -42,10 +42,11 @@ test: setup-dev ## tests, under eight minutes on two cores
 test-slow: setup-dev ## statistical studies and long trials
 	$(BIN)/python -m pytest -n 2 --dist worksteal -m slow
 
-lint: setup-dev ## ruff (security rules among its own), mypy, audit of the packages
+lint: setup-dev ## ruff (security rules among its own), mypy, import contract, audit of the packages
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
+	$(BIN)/lint-imports
 	$(BIN)/python tools/audit.py
 
 format: setup-dev ## let ruff format and mend what it can

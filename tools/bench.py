@@ -33,11 +33,11 @@ from calib.fit.importance import sample_importance
 from calib.fit.posterior import laplace, posterior_of, sample_posterior
 from calib.fit.priors import Priors
 from calib.fit.robust import fit_model
+from calib.geometry.board import Board
 from calib.geometry.parameters import vector
 from calib.geometry.plane import OBSERVABLE, gaze_at
-from calib.images.detect_board import find_chessboard
-from calib.images.types import Board
-from calib.observations import Observations
+from calib.images.detection.board import find_chessboard
+from calib.rows.observations import Observations
 
 PROJECT = Path(__file__).resolve().parents[1]
 REPEATS, RUNS = 5, 3

@@ -50,10 +50,10 @@ import weasyprint
 
 import calib
 import calib.fit.importance
-import calib.store
+import calib.stages.store
 import calib.uncertainty.joint
+from calib.chain.calibrate import Options, calibrate
 from calib.dataset.load import load_dataset
-from calib.pipeline import Options, calibrate
 
 KINDS = ("detectors", "solvers", "trials", "documents")
 
@@ -124,7 +124,7 @@ def _metered(meter: _Meter) -> Iterator[None]:
     """Measure the calls, by whatever name modules have imported them."""
     modules = list(_modules())
     with ExitStack() as stack:
-        stack.enter_context(patch.object(calib.store, "processors", lambda: 1))
+        stack.enter_context(patch.object(calib.stages.store, "processors", lambda: 1))
         for kind, owner, names in _CALLS:
             for name in names:
                 function = getattr(owner, name)

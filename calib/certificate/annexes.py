@@ -9,13 +9,14 @@ import numpy as np
 
 from calib.certificate.budgets import budgets
 from calib.certificate.data import NONE, Annex, Table
-from calib.certificate.inputs import CalibrationSummary, CertificateInputs, Evidence, Provenance
+from calib.certificate.inputs import CalibrationSummary, CertificateInputs, Provenance
 from calib.certificate.numbers import check_error, depth_line, length_result, listed_checks
-from calib.certificate.wording import EXTRAPOLATED, LENGTHS_NOTE, VERDICTS, clean
-from calib.gates import Gate
+from calib.core.gate import Gate
 from calib.geometry.parameters import INDEX, PARAMETERS
+from calib.results.wording import EXTRAPOLATED, LENGTHS_NOTE, VERDICTS, clean
 from calib.uncertainty.certified import CertifiedDepth, CheckedDepth
 from calib.uncertainty.depth import DepthUncertainty
+from calib.uncertainty.evidence import Evidence
 from calib.uncertainty.format import (
     at_place,
     fixed,

@@ -7,15 +7,15 @@ from calib.certificate.inputs import (
     CalibrationSummary,
     CertificateInputs,
     Derived,
-    Evidence,
     Issue,
     Provenance,
 )
 from calib.dataset.manifest import Certificate, Manifest
-from calib.instrument import CalibratedInstrument
-from calib.provenance import Provenance as RunProvenance
-from calib.results import Calibration, GazeResult
-from calib.results_fits import effective_baseline
+from calib.instrument.calibrated import CalibratedInstrument
+from calib.results.calibration import Calibration, GazeResult
+from calib.results.fits_document import effective_baseline
+from calib.stages.provenance import Provenance as RunProvenance
+from calib.uncertainty.evidence import Evidence
 
 NOT_GIVEN = "not stated"
 """The manifest's own word where no reference is named."""

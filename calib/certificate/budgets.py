@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 from calib.certificate.data import NONE, Annex, Table
 from calib.certificate.numbers import depth_line, symbol
-from calib.certificate.wording import CAMERA_LINES, GROUP_LINE
 from calib.geometry.parameters import INDEX
+from calib.results.wording import CAMERA_LINES, GROUP_LINE
 from calib.uncertainty.budget import Budget, BudgetRow, CorrelationRow
 from calib.uncertainty.certified import CertifiedDepth
 from calib.uncertainty.depth import DepthUncertainty

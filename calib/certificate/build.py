@@ -10,12 +10,7 @@ from scipy.special import bdtr
 from calib.certificate.annexes import annexes, length_limit_words
 from calib.certificate.data import CertificateData, Conclusion, Entry, Judgement, Result
 from calib.certificate.figure import depth_figure
-from calib.certificate.inputs import (
-    Administration,
-    CalibrationSummary,
-    CertificateInputs,
-    Evidence,
-)
+from calib.certificate.inputs import Administration, CalibrationSummary, CertificateInputs
 from calib.certificate.numbers import (
     LISTED_CHECKS,
     check_error,
@@ -26,7 +21,7 @@ from calib.certificate.numbers import (
     listed_checks,
     parameter_results,
 )
-from calib.certificate.wording import (
+from calib.results.wording import (
     ADJUSTMENT,
     LINEAR_MEANING,
     MODELS,
@@ -49,6 +44,7 @@ from calib.certificate.wording import (
 from calib.uncertainty.budget import COVERAGE
 from calib.uncertainty.certified import CertifiedDepth, CheckedDepth
 from calib.uncertainty.conformity import Conformity, ToleranceRule, worst
+from calib.uncertainty.evidence import Evidence
 from calib.uncertainty.format import fixed, percent_down, plain, upwards
 
 UNKNOWN_COUNTRY = "ZZ"

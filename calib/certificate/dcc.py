@@ -21,7 +21,7 @@ from calib.certificate.data import (
     Result,
 )
 from calib.certificate.elements import LANGUAGE, UNITS, Content, dcc, rich_text, si
-from calib.certificate.wording import METHOD_REFERENCE, NORMS, NOT_STATED
+from calib.results.wording import METHOD_REFERENCE, NORMS, NOT_STATED
 
 VERSION = "3.3.0"
 COVERAGE = "0.95"

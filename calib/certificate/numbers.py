@@ -9,8 +9,8 @@ import numpy as np
 
 from calib.certificate.data import DepthLine, Entry, Judgement, Matrix, Region, Result
 from calib.certificate.inputs import CalibrationSummary
-from calib.certificate.wording import VERDICTS, clean
 from calib.geometry.parameters import INDEX, PARAMETERS
+from calib.results.wording import VERDICTS, clean
 from calib.uncertainty.budget import coverage_factor
 from calib.uncertainty.certified import CertifiedDepth, CheckedDepth
 from calib.uncertainty.conformity import Conformity

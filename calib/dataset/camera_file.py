@@ -14,10 +14,10 @@ from typing import Any, Final, NoReturn
 
 import numpy as np
 
-from calib.arrays import FloatArray
+from calib.core.arrays import FloatArray
+from calib.core.errors import InputError
 from calib.dataset.manifest import DISTORTION_LENGTHS
-from calib.dataset.words import shown
-from calib.errors import InputError
+from calib.dataset.messages import shown
 from calib.geometry.camera import Camera
 
 MODEL_LIMIT_BYTES = 64 * 1024 * 1024

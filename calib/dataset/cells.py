@@ -14,8 +14,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from calib.arrays import BoolArray, FloatArray
-from calib.dataset.words import (
+from calib.core.arrays import BoolArray, FloatArray
+from calib.core.errors import InputError, Problem
+from calib.dataset.messages import (
     LISTED_PROBLEMS,
     refuse_if,
     row_place,
@@ -24,7 +25,6 @@ from calib.dataset.words import (
     suggestion,
     text_fault,
 )
-from calib.errors import InputError, Problem
 
 NAMED_ROWS = 5
 """Rows named for one fault of one column; what is wrong in all rows is seen from five."""

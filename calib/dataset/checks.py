@@ -7,14 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.arrays import BoolArray, FloatArray
+from calib.core.arrays import BoolArray, FloatArray
+from calib.core.errors import Problem
 from calib.dataset.cells import NAMED_ROWS
 from calib.dataset.contents import Dataset
 from calib.dataset.faults import MANIFEST
 from calib.dataset.manifest import CAMERAS, Gaze, Validation
+from calib.dataset.messages import nearest, row_place, shown
 from calib.dataset.tables import GazeTable, LengthTable
-from calib.dataset.words import nearest, row_place, shown
-from calib.errors import Problem
 from calib.geometry.parameters import MODELS
 
 MIN_VIEWS = 6

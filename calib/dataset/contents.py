@@ -6,12 +6,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from calib.arrays import FloatArray
+from calib.core.arrays import FloatArray
 from calib.dataset.manifest import Manifest
+from calib.dataset.messages import row_place
 from calib.dataset.tables import GazeTable, LengthTable, SweepTable
-from calib.dataset.words import row_place
+from calib.geometry.board import Board
 from calib.geometry.camera import Camera
-from calib.images.types import Board
 
 
 @dataclass(frozen=True)

@@ -11,11 +11,11 @@ from typing import Any, Final, get_args
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
+from calib.core.errors import InputError, Problem
 from calib.dataset.fields import PRIOR_NAMES, REFUSED
 from calib.dataset.folder import decode
 from calib.dataset.manifest import Manifest, Section
-from calib.dataset.words import LISTED_PROBLEMS, nearest, shortened, shown, suggestion
-from calib.errors import InputError, Problem
+from calib.dataset.messages import LISTED_PROBLEMS, nearest, shortened, shown, suggestion
 
 MANIFEST: Final = "dataset.toml"
 

@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field
 from pydantic_core import PydanticCustomError
 
-from calib.dataset.words import shown, suggestion, text_fault
+from calib.dataset.messages import shown, suggestion, text_fault
 from calib.geometry.parameters import NAMES
 
 NOISE_PRIOR: Final = "log_noise_scale"

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path, PurePosixPath
 
-from calib.dataset.words import LISTED_PROBLEMS, nearest, shown, text_fault
-from calib.errors import InputError, Problem
+from calib.core.errors import InputError, Problem
+from calib.dataset.messages import LISTED_PROBLEMS, nearest, shown, text_fault
 
 MIB = 1024 * 1024
 TABLE_LIMIT_BYTES = 64 * MIB

@@ -11,19 +11,19 @@ from typing import Protocol, TypeVar
 
 import numpy as np
 
-from calib.arrays import FloatArray
+from calib.core.arrays import FloatArray
+from calib.core.errors import InputError, Problem
 from calib.dataset import manifest as spec
 from calib.dataset.camera_file import MODEL_LIMIT_BYTES, read_camera
 from calib.dataset.checks import doubts, faults
 from calib.dataset.contents import Dataset
+from calib.dataset.corner_cache import read_cache
 from calib.dataset.faults import MANIFEST, MANIFEST_LIMIT_BYTES, parse_manifest
 from calib.dataset.folder import TABLE_LIMIT_BYTES, Folder, decode, matches, path_fault
+from calib.dataset.messages import shortened, shown, text_fault
 from calib.dataset.readers import Scanned, scan_gaze, scan_lengths, scan_sweep
-from calib.dataset.words import shortened, shown, text_fault
-from calib.errors import InputError, Problem
+from calib.geometry.board import Board
 from calib.geometry.camera import Camera
-from calib.images.detect_cache import read_cache
-from calib.images.types import Board
 
 T = TypeVar("T")
 

@@ -37,7 +37,7 @@ from calib.dataset.fields import (
     UZRel,
     refuse,
 )
-from calib.dataset.words import shown, suggestion
+from calib.dataset.messages import shown, suggestion
 
 CAMERAS: Final = ("c1", "c2")
 

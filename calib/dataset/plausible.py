@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.arrays import FloatArray
+from calib.core.arrays import FloatArray
 from calib.dataset.cells import Cells
 
 RADIANS_BELOW = 3.2

@@ -8,8 +8,10 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
-from calib.arrays import BoolArray, FloatArray
+from calib.core.arrays import BoolArray, FloatArray
+from calib.core.errors import InputError, Problem
 from calib.dataset.cells import Cells, read_cells, require_columns
+from calib.dataset.messages import shortened, shown
 from calib.dataset.plausible import (
     check_angles,
     check_cotangents,
@@ -19,8 +21,6 @@ from calib.dataset.plausible import (
     check_sight_lines,
 )
 from calib.dataset.tables import GazeTable, LengthTable, SweepTable, freeze
-from calib.dataset.words import shortened, shown
-from calib.errors import InputError, Problem
 
 T = TypeVar("T")
 T_table = TypeVar("T_table", GazeTable, SweepTable, LengthTable)

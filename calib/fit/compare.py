@@ -16,8 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.random import SeedSequence
 
-from calib.arrays import FloatArray, IntArray
-from calib.errors import EstimationError
+from calib.core.arrays import FloatArray, IntArray
+from calib.core.errors import EstimationError
 from calib.fit.groups import units
 from calib.fit.importance import ImportanceSample
 from calib.fit.leave_one_out import LeftOut, leave_one_out, of_chain, of_sample
@@ -27,8 +27,8 @@ from calib.fit.robust import RobustFit, fit_robust
 from calib.fit.weights import averaging_weights, stacking_weights
 from calib.geometry.parameters import MODELS
 from calib.geometry.plane import depth
-from calib.observations import Observations
-from calib.observe import ValidationRows
+from calib.rows.from_table import ValidationRows
+from calib.rows.observations import Observations
 
 CLEARLY = 1.0
 """Standard errors of the paired difference that a richer model must be better by.

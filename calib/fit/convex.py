@@ -18,14 +18,14 @@ from dataclasses import dataclass
 import cvxpy
 import numpy as np
 
-from calib.arrays import FloatArray
-from calib.errors import EstimationError
+from calib.core.arrays import FloatArray
+from calib.core.errors import EstimationError
 from calib.fit.linear import residual_mrad
 from calib.fit.noise import is_outlier, row_noise
 from calib.fit.start import find_start
-from calib.geometry.closure import closure_value
+from calib.geometry.misclosure import closure_value
 from calib.geometry.parameters import vector
-from calib.observations import Observations
+from calib.rows.observations import Observations
 
 HUBER_THRESHOLD = 1.345
 """In standard deviations: 95 % efficiency on normal rows (Huber 1981)."""

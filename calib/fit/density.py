@@ -22,12 +22,12 @@ from math import factorial
 import numpy as np
 from numpy.polynomial.polynomial import polyval
 
-from calib.arrays import BoolArray, FloatArray, IntArray
+from calib.core.arrays import BoolArray, FloatArray, IntArray
 from calib.fit.noise import LOG_SCALE_LIMIT, ROBUST, Tails, log_density, row_noise
 from calib.fit.priors import Priors, measured_of, prior_of
 from calib.geometry.parameters import INDEX, PARAMETERS, EncoderTerm, Model, embed
 from calib.geometry.plane import frame
-from calib.observations import Observations
+from calib.rows.observations import Observations
 
 CHUNK_ELEMENTS = 16_000
 """Vectors x rows evaluated at a time: above it the arrays leave the processor's cache."""

@@ -16,14 +16,14 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import fdtrc
 
-from calib.arrays import FloatArray, IntArray
+from calib.core.arrays import FloatArray, IntArray
 from calib.fit.information import kept
 from calib.fit.noise import own_sigma
 from calib.fit.robust import RobustFit
-from calib.geometry.closure import closure
+from calib.geometry.misclosure import closure
 from calib.geometry.parameters import MODELS
 from calib.geometry.plane import OBSERVABLE
-from calib.observations import Observations
+from calib.rows.observations import Observations
 
 LEAST_GROUPS = 3
 """Groups of two rows or more: two could differ for any reason."""

@@ -12,8 +12,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.arrays import FloatArray, IntArray
-from calib.observations import Observations
+from calib.core.arrays import FloatArray, IntArray
+from calib.rows.observations import Observations
 
 SLIGHT = 1e-9
 """Variance added along a direction, as a share of what is there already, that is rounding."""

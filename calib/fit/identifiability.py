@@ -8,15 +8,15 @@ from types import MappingProxyType
 
 import numpy as np
 
-from calib.arrays import FloatArray
+from calib.core.arrays import FloatArray
+from calib.core.gate import Gate
 from calib.fit.information import Known, beforehand, kept, row_slopes, slopes
 from calib.fit.priors import Priors, measured_of, prior_of
 from calib.fit.robust import DECIDED, RobustFit
-from calib.gates import Gate
-from calib.geometry.closure import closure
+from calib.geometry.misclosure import closure
 from calib.geometry.parameters import MODELS, PARAMETERS, Model
 from calib.geometry.plane import OBSERVABLE
-from calib.observations import Observations
+from calib.rows.observations import Observations
 
 UNDETERMINED = 1.0
 """Standard deviation, in units of `beforehand`, above which the rows leave a combination open."""

@@ -15,8 +15,8 @@ import numpy as np
 from arviz_stats.base import array_stats
 from scipy.special import gammaln, logsumexp
 
-from calib.arrays import FloatArray
-from calib.errors import EstimationError
+from calib.core.arrays import FloatArray
+from calib.core.errors import EstimationError
 
 ROUNDS = 8
 MAXIMUM_ROUNDS = 32

@@ -13,12 +13,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.arrays import BoolArray, FloatArray
+from calib.core.arrays import BoolArray, FloatArray
 from calib.fit.noise import is_outlier, row_noise
 from calib.fit.robust import RobustFit
-from calib.geometry.closure import closure
+from calib.geometry.misclosure import closure
 from calib.geometry.parameters import MODELS, PARAMETERS, Model
-from calib.observations import Observations
+from calib.rows.observations import Observations
 
 RULER = 10.0
 """Of a parameter without a prior of its own, 10 mm and 10 mrad are known beforehand, in units of

@@ -18,8 +18,8 @@ from arviz_stats.base import array_stats
 from numpy.random import SeedSequence
 from scipy.special import logsumexp
 
-from calib.arrays import FloatArray, IntArray
-from calib.errors import EstimationError
+from calib.core.arrays import FloatArray, IntArray
+from calib.core.errors import EstimationError
 from calib.fit.density import LogPosterior
 from calib.fit.groups import units
 from calib.fit.importance import K_HAT_LIMIT, ImportanceSample, sample_importance
@@ -27,7 +27,7 @@ from calib.fit.posterior import Posterior, laplace, posterior_of
 from calib.fit.priors import Priors
 from calib.fit.robust import RobustFit, fit_robust
 from calib.geometry.parameters import MODELS
-from calib.observations import Observations
+from calib.rows.observations import Observations
 
 LOO_DRAWS, LOO_DRAWS_LEAST = 4000, 1000
 """Posterior draws that LOO looks at. A thousand leave 0.05 nats of doubt on the rows' sum."""

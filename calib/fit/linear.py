@@ -16,11 +16,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.arrays import FloatArray
-from calib.errors import EstimationError
-from calib.geometry.closure import closure
+from calib.core.arrays import FloatArray
+from calib.core.errors import EstimationError
+from calib.geometry.misclosure import closure
 from calib.geometry.parameters import vector
-from calib.observations import Observations
+from calib.rows.observations import Observations
 
 MINIMUM_ROWS = 3
 

@@ -25,14 +25,14 @@ from numpy.random import MT19937, RandomState, SeedSequence
 from scipy.special import ndtri
 from scipy.stats import rankdata
 
-from calib.arrays import FloatArray
-from calib.errors import EstimationError
+from calib.core.arrays import FloatArray
+from calib.core.errors import EstimationError
 from calib.fit.density import LogPosterior, log_posterior
 from calib.fit.importance import ImportanceSample, Proposal, sample_importance
 from calib.fit.priors import NOISE_SCALE, Priors
 from calib.fit.robust import RobustFit
 from calib.geometry.parameters import MODELS
-from calib.observations import Observations
+from calib.rows.observations import Observations
 
 ENSEMBLES = 4
 """Independent ensembles: R-hat compares them; the walkers of one are not independent."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.arrays import FloatArray
+from calib.core.arrays import FloatArray
 from calib.geometry.parameters import PARAMETERS, Model
 
 NOISE_SCALE = "log_noise_scale"

@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.arrays import BoolArray, FloatArray
-from calib.errors import EstimationError
+from calib.core.arrays import BoolArray, FloatArray
+from calib.core.errors import EstimationError
 from calib.fit.groups import wider_part
 from calib.fit.noise import CLEAN, ROBUST, Tails, is_outlier, set_aside
 from calib.fit.priors import Priors, measured_of, prior_of
@@ -23,7 +23,7 @@ from calib.fit.row_sums import residuals
 from calib.fit.settle import Problem, Solution, inverse
 from calib.fit.start import find_start, some_rows
 from calib.geometry.parameters import MODELS, Model, embed
-from calib.observations import GROUP_SOURCE, Observations
+from calib.rows.observations import GROUP_SOURCE, Observations
 
 ROUGH = 1e-3
 """Relative change of estimate and scale at which they tell outliers from other rows."""

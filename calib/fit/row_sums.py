@@ -11,12 +11,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.arrays import FloatArray
+from calib.core.arrays import FloatArray
 from calib.fit.noise import Tails, outlier_limit, own_sigma
-from calib.geometry.closure import closure
+from calib.geometry.misclosure import closure
 from calib.geometry.parameters import Model
 from calib.geometry.plane import Gaze
-from calib.observations import Observations
+from calib.rows.observations import Observations
 
 BLOCK = 16_000
 """Rows a block; with 4,000, or all at once, a pass takes half as long again."""

@@ -14,8 +14,8 @@ import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 from scipy.optimize import least_squares
 
-from calib.arrays import BoolArray, FloatArray
-from calib.errors import EstimationError
+from calib.core.arrays import BoolArray, FloatArray
+from calib.core.errors import EstimationError
 from calib.fit.groups import added_covariance
 from calib.fit.noise import (
     KEPT_SHARE,
@@ -28,10 +28,10 @@ from calib.fit.noise import (
 )
 from calib.fit.priors import NormalKnowledge
 from calib.fit.row_sums import RowSums, sum_rows
-from calib.geometry.closure import closure, closure_value
+from calib.geometry.misclosure import closure, closure_value
 from calib.geometry.parameters import PARAMETERS, Model, embed
 from calib.geometry.plane import OBSERVABLE
-from calib.observations import Observations
+from calib.rows.observations import Observations
 
 ROUNDS = 12
 """Rounds of fit, weights and noise scale; they agree to six digits after three or four."""

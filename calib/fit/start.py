@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.arrays import FloatArray
-from calib.errors import EstimationError
+from calib.core.arrays import FloatArray
+from calib.core.errors import EstimationError
 from calib.fit.linear import fit_bilinear
 from calib.fit.noise import log_density, row_noise
-from calib.geometry.closure import closure_value
+from calib.geometry.misclosure import closure_value
 from calib.geometry.parameters import vector
-from calib.observations import Observations
+from calib.rows.observations import Observations
 
 TRIMMED_STARTS = 60
 """Elemental starts of the trimmed search.

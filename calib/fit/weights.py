@@ -12,7 +12,7 @@ import numpy as np
 from numpy.random import Generator
 from scipy.special import logsumexp
 
-from calib.arrays import FloatArray
+from calib.core.arrays import FloatArray
 
 BOOTSTRAPS = 2000
 """Resamplings of the rows: a weight is then known to 0.01."""

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.polynomial import Polynomial
 
-from calib.arrays import BoolArray, FloatArray
-from calib.errors import EstimationError
+from calib.core.arrays import BoolArray, FloatArray
+from calib.core.errors import EstimationError
 
 RADIUS_MAX = 1e3
 """Largest undistorted radius tried, a ray 89.9 deg off the axis: a pinhole model ends there."""

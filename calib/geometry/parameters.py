@@ -13,7 +13,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from calib.arrays import FloatArray
+from calib.core.arrays import FloatArray
 
 ENCODER_CENTRE_RAD = np.pi / 2
 """Reading about which the encoder's scale error turns: C2 parallel to Z of C1."""

@@ -21,7 +21,7 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from calib.arrays import FloatArray
+from calib.core.arrays import FloatArray
 from calib.geometry.parameters import (
     ENCODER_CENTRE_RAD,
     PARAMETERS,

@@ -12,8 +12,8 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from calib.arrays import BoolArray, FloatArray, IntArray
-from calib.errors import EstimationError
+from calib.core.arrays import BoolArray, FloatArray, IntArray
+from calib.core.errors import EstimationError
 from calib.geometry.camera import Camera
 
 MAX_STEPS = 100

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.arrays import FloatArray
-from calib.errors import EstimationError
-from calib.gates import Gate
-from calib.images.types import Board
+from calib.core.arrays import FloatArray
+from calib.core.errors import EstimationError
+from calib.core.gate import Gate
+from calib.geometry.board import Board
 
 RMS_LIMIT_PX = 1.0
 """Corners of a printed board in a sharp picture are found to 0.05 to 0.3 px; images that do not

@@ -12,14 +12,14 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from calib.arrays import BoolArray, FloatArray, IntArray
-from calib.errors import EstimationError
+from calib.core.arrays import BoolArray, FloatArray, IntArray
+from calib.core.errors import EstimationError
+from calib.geometry.board import Board, Corners
 from calib.geometry.camera import Camera
+from calib.geometry.poses import pose_matrix, pose_vector, transform
 from calib.images.bundle import finite, project_points
 from calib.images.checks import require_board
-from calib.images.mrcal_process import MIN_CORNERS
-from calib.images.poses import pose_matrix, pose_vector, transform
-from calib.images.types import Board, Corners
+from calib.images.mrcal.solves import MIN_CORNERS
 
 MIN_PAIRS = 3
 """Pairs needed: the poses of two could agree by chance, that of a third checks them."""

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from calib.images.intrinsics import Intrinsics
-from calib.images.stages import ContactSheet
-from calib.images.stereo import StereoReference
-from calib.images.sweep import SweepResult
-from calib.images.types import Corners
+from calib.geometry.board import Corners
+from calib.images.contact_sheet import ContactSheet
+from calib.images.intrinsics.calibrate import Intrinsics
+from calib.images.stereo.reference import StereoReference
+from calib.images.sweep.yaw_axis import SweepResult
 
 
 @dataclass(frozen=True)

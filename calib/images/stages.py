@@ -6,48 +6,19 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
 from numpy.random import SeedSequence
-from numpy.typing import NDArray
 
-from calib.arrays import FloatArray
+from calib.core.arrays import FloatArray
+from calib.geometry.board import Board, Corners
 from calib.geometry.camera import Camera
-from calib.images.detect import detect
-from calib.images.intrinsics import Intrinsics, calibrate_intrinsics
-from calib.images.picture import read_grey, thumbnail
-from calib.images.sightings import pick
-from calib.images.stereo import StereoReference, given_reference, stereo_reference
-from calib.images.stereo_solve import CameraPair
-from calib.images.sweep import SweepResult, yaw_sweep
-from calib.images.sweep_solve import SweepReadings
-from calib.images.types import Board, Corners
-
-CONTACT_COUNT = 24
-"""Pictures on a contact sheet; a board not found always gets its place."""
-
-CONTACT_WIDTH_PX = 200
-
-
-@dataclass(frozen=True)
-class Pictures:
-    """Images of one camera.
-
-    Parameters
-    ----------
-    camera
-        "c1" or "c2".
-    names
-        Relative to the dataset's folder, each once.
-    sha256
-        Of their bytes; "" for one that is known from a corner cache and need not exist.
-    image_size
-        Width and height, px; None to take those of the first picture.
-    """
-
-    camera: str
-    names: tuple[str, ...]
-    sha256: tuple[str, ...]
-    image_size: tuple[int, int] | None
+from calib.images.contact_sheet import Pictures
+from calib.images.detection.find import detect
+from calib.images.detection.picture import read_grey
+from calib.images.intrinsics.calibrate import Intrinsics, calibrate_intrinsics
+from calib.images.stereo.reference import StereoReference, given_reference, stereo_reference
+from calib.images.stereo.solve import CameraPair
+from calib.images.sweep.solve import SweepReadings
+from calib.images.sweep.yaw_axis import SweepResult, yaw_sweep
 
 
 @dataclass(frozen=True)
@@ -93,54 +64,6 @@ def _size(folder: Path, pictures: Pictures) -> tuple[int, int]:
 
 
 @dataclass(frozen=True)
-class ContactSheet:
-    """Small pictures with their corners drawn.
-
-    Parameters
-    ----------
-    camera
-        "c1" or "c2".
-    names, detectors
-        Of the pictures shown.
-    pictures
-        Blue, green, red, shape (n, height, width, 3).
-    left_out
-        Number of pictures not shown.
-    """
-
-    camera: str
-    names: tuple[str, ...]
-    detectors: tuple[str, ...]
-    pictures: NDArray[np.uint8]
-    left_out: int
-
-
-def contact_sheet(folder: Path, pictures: Pictures, corners: Corners) -> ContactSheet:
-    """Return a contact sheet: boards not found first, the rest evenly over the pictures."""
-    here = np.flatnonzero([bool(sha) for sha in pictures.sha256])
-    missed = [i for i in here if corners.detector[i] == "none"][:CONTACT_COUNT]
-    others = np.array([i for i in here if corners.detector[i] != "none"], dtype=int)
-    room = min(CONTACT_COUNT - len(missed), len(others))
-    spread = others[np.linspace(0, len(others) - 1, room).round().astype(int)] if room else []
-    shown = [*missed, *spread]
-    small = [
-        thumbnail(
-            read_grey(folder / pictures.names[i], name=pictures.names[i]),
-            corners.pixels[i],
-            width=CONTACT_WIDTH_PX,
-        )
-        for i in shown
-    ]
-    return ContactSheet(
-        camera=pictures.camera,
-        names=tuple(pictures.names[i] for i in shown),
-        detectors=tuple(corners.detector[i] for i in shown),
-        pictures=np.stack(small) if small else np.zeros((0, 1, 1, 3), np.uint8),
-        left_out=len(here) - len(shown),
-    )
-
-
-@dataclass(frozen=True)
 class Chosen:
     """Names of images of a camera, in an order that means something to the stage."""
 
@@ -151,7 +74,7 @@ def intrinsics(
     corners: Corners, chosen: Chosen, board: Board, *, camera: str, seed: SeedSequence
 ) -> Intrinsics:
     """Calibrate a camera from its intrinsic images."""
-    views = pick(corners, chosen.images)
+    views = corners.select(chosen.images)
     return calibrate_intrinsics(views, board, camera=camera, seed=_number(seed))
 
 
@@ -192,7 +115,7 @@ def stereo(
     seed: SeedSequence,
 ) -> StereoReference:
     """Solve the stereo reference, or take the pose given."""
-    views = pick(corners_c1, pairs.images_c1), pick(corners_c2, pairs.images_c2)
+    views = corners_c1.select(pairs.images_c1), corners_c2.select(pairs.images_c2)
     if pairs.transform_12 is not None:
         return given_reference(
             views, board, rig, stems=pairs.stems, transform_12=pairs.transform_12
@@ -219,7 +142,7 @@ def sweep(
     """Solve the yaw sweep, with what the stereo stage knows of the rig and the board."""
     solves = reference.solves if reference is not None else ()
     return yaw_sweep(
-        pick(corners_c2, given.images),
+        corners_c2.select(given.images),
         given.readings,
         board,
         camera=c2.camera,

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.random import Generator
 
-from calib.arrays import FloatArray, IntArray
-from calib.errors import UsageError
+from calib.core.arrays import FloatArray, IntArray
+from calib.core.errors import UsageError
 from calib.geometry.parameters import PARAMETERS
 from calib.plan.design import (
     REGULAR,

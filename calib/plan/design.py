@@ -14,13 +14,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.arrays import FloatArray, IntArray
+from calib.core.arrays import FloatArray, IntArray
 from calib.fit.noise import CLEAN, row_noise
-from calib.geometry.closure import closure, depth_jacobian
+from calib.geometry.misclosure import closure, depth_jacobian
 from calib.geometry.parameters import Model
 from calib.geometry.plane import gaze_at
-from calib.observations import Observations
 from calib.plan.field import Field
+from calib.rows.observations import Observations
 
 EXCHANGES = 10
 """Rounds through all chosen targets; the second or third finds nothing more to exchange."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.arrays import BoolArray, FloatArray
+from calib.core.arrays import BoolArray, FloatArray
 from calib.geometry.camera import Camera, normalise
 from calib.geometry.parameters import INDEX
 from calib.geometry.plane import gaze_at

@@ -12,8 +12,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from calib.arrays import FloatArray
-from calib.errors import UsageError
+from calib.core.arrays import FloatArray
+from calib.core.errors import UsageError
 from calib.plan.advise import Advice, Targets
 from calib.plan.prepare import Start
 

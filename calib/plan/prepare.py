@@ -6,21 +6,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.arrays import FloatArray
+from calib.core.arrays import FloatArray
+from calib.core.errors import EstimationError, UsageError
 from calib.dataset.contents import Dataset
 from calib.dataset.manifest import DEFAULT_U_X1C
-from calib.errors import EstimationError, UsageError
 from calib.fit.information import row_information
 from calib.fit.priors import NormalKnowledge, Priors, measured_of, prior_of
 from calib.fit.robust import fit_robust, too_much
 from calib.fit.start import first_guess
 from calib.geometry.parameters import INDEX, MODELS, Model, embed
 from calib.geometry.plane import OBSERVABLE
-from calib.observations import Observations
-from calib.observe import RowSettings, row_settings
 from calib.plan.design import Knowledge, Noise, row_vectors
 from calib.plan.field import Field, field_of
-from calib.plan.sofar import SoFar
+from calib.plan.prior_knowledge import SoFar
+from calib.rows.from_table import RowSettings, row_settings
+from calib.rows.observations import Observations
 
 ASSUMED_U_Z_REL = 0.002
 """Relative uncertainty of a reference depth where no [gaze] states one: a laser distance meter, or

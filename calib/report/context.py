@@ -10,7 +10,7 @@ import numpy as np
 from calib.dataset.contents import Dataset
 from calib.dataset.manifest import DEFAULT_U_X1C, Gaze, Manifest, Validation
 from calib.dataset.tables import GazeTable
-from calib.provenance import Provenance
+from calib.stages.provenance import Provenance
 from calib.uncertainty.format import significant
 
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from markupsafe import Markup
 
-from calib.arrays import FloatArray
+from calib.core.arrays import FloatArray
 from calib.fit.priors import NOISE_SCALE
 from calib.geometry.parameters import INDEX, PARAMETERS
 from calib.report.blocks import EMPTY, Cell, number

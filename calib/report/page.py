@@ -10,7 +10,6 @@ from importlib.resources import files
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from calib.certificate.wording import printable
 from calib.report.blocks import Section
 from calib.report.context import ReportContext
 from calib.report.sections.comparison import comparison
@@ -29,7 +28,8 @@ from calib.report.sections.stereo import stereo
 from calib.report.sections.sweep import sweep
 from calib.report.sections.validation import validation
 from calib.report.sections.verdict import verdict
-from calib.results import Calibration
+from calib.results.calibration import Calibration
+from calib.results.wording import printable
 
 SECTIONS: tuple[Callable[[Calibration, ReportContext], Section | None], ...] = (
     verdict,

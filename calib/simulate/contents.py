@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from calib.arrays import FloatArray
+from calib.core.arrays import FloatArray
+from calib.geometry.board import Board
 from calib.geometry.camera import Camera
 from calib.geometry.parameters import NAMES
-from calib.images.types import Board
 from calib.simulate.rig import Noise, Rig, c2_pose
 from calib.simulate.scene import IntrinsicViews, SweepPlan
 from calib.simulate.tables import SimulatedRows

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 import tomli_w
 
-from calib.errors import UsageError
+from calib.core.errors import UsageError
 from calib.simulate.contents import Contents, Shot, SimulationOptions, Table
 from calib.simulate.pattern import board_pattern
 from calib.simulate.plan import plan_dataset

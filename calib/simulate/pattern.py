@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from calib.arrays import FloatArray
-from calib.images.types import Board
+from calib.core.arrays import FloatArray
+from calib.geometry.board import Board
 
 BLACK, WHITE, SURROUNDINGS = 0.06, 0.85, 0.35
 """Reflectances: printer's ink, matt paper, the wall behind."""

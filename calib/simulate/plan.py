@@ -7,10 +7,10 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from calib.errors import UsageError
+from calib.core.errors import UsageError
+from calib.geometry.board import Board
 from calib.geometry.camera import project
 from calib.geometry.parameters import MODELS, NAMES
-from calib.images.types import Board
 from calib.simulate.contents import (
     Contents,
     Session,

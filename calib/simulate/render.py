@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.arrays import FloatArray
+from calib.core.arrays import FloatArray
 from calib.geometry.camera import Camera, normalise, project, radius_limit
 from calib.simulate.pattern import SURROUNDINGS, Pattern
 

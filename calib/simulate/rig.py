@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.arrays import FloatArray
+from calib.core.arrays import FloatArray
 from calib.geometry.camera import Camera
 from calib.geometry.parameters import INDEX, MODELS, PARAMETERS, vector
 from calib.geometry.plane import Gaze, frame, gaze_angle

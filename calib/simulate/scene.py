@@ -13,11 +13,11 @@ from itertools import pairwise
 
 import numpy as np
 
-from calib.arrays import BoolArray, FloatArray
-from calib.errors import UsageError
+from calib.core.arrays import BoolArray, FloatArray
+from calib.core.errors import UsageError
+from calib.geometry.board import Board
 from calib.geometry.camera import Camera, project, radius_limit
 from calib.geometry.plane import gaze_at
-from calib.images.types import Board
 from calib.simulate.rig import Rig, c2_pose
 
 EDGE_PX = 12.0

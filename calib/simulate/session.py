@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from calib.arrays import FloatArray
-from calib.images.types import Board
+from calib.core.arrays import FloatArray
+from calib.geometry.board import Board
 from calib.simulate.contents import (
     U_LENGTH_MM,
     Section,

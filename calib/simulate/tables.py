@@ -12,11 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.arrays import BoolArray, FloatArray
-from calib.errors import UsageError
+from calib.core.arrays import BoolArray, FloatArray
+from calib.core.errors import UsageError
 from calib.geometry.camera import Camera
 from calib.geometry.plane import OBSERVABLE, Gaze, gaze_angle, gaze_at
-from calib.observations import Observations
+from calib.rows.observations import Observations
 from calib.simulate.rig import Rig, c2_pose
 
 FIELD_USED = 0.95

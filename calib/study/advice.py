@@ -7,17 +7,17 @@ from typing import Any
 import numpy as np
 from numpy.random import SeedSequence
 
-from calib.arrays import FloatArray
-from calib.errors import CalibError
+from calib.core.arrays import FloatArray
+from calib.core.errors import CalibError
 from calib.fit.information import row_information
 from calib.fit.priors import Priors, prior_of
 from calib.fit.robust import fit_model
 from calib.geometry.parameters import MODELS
 from calib.geometry.plane import OBSERVABLE
-from calib.observations import Observations
 from calib.plan.advise import advise, regular
 from calib.plan.design import Knowledge, Noise, depth_vectors, relative_variance
 from calib.plan.field import Field, field_of
+from calib.rows.observations import Observations
 from calib.simulate.rig import Rig, draw_rig
 from calib.simulate.tables import draw_targets, observe
 from calib.study.conditions import ADVICE

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
-from calib.errors import UsageError
+from calib.core.errors import UsageError
 
 ROW_COUNTS = (6, 14, 60)
 """The least that the extended model accepts, the paper's Table 1, and a day's work."""

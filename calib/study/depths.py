@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.random import SeedSequence
 
-from calib.arrays import FloatArray
+from calib.core.arrays import FloatArray
 from calib.geometry.plane import OBSERVABLE
-from calib.instrument import CalibratedInstrument, tabulate_depths
+from calib.instrument.calibrated import CalibratedInstrument, tabulate_depths
 from calib.study.rigs import Bench
 from calib.uncertainty.mixture import mix_depths
 from calib.uncertainty.predictive import depth_draws, linear_positions

@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from calib.errors import UsageError
+from calib.core.errors import UsageError
 
 Record = dict[str, Any]
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from calib import __version__
-from calib.store import write_bytes
+from calib.stages.store import write_bytes
 from calib.study.claims import Verdict
 from calib.study.conditions import GROUPS
 from calib.study.figures import FIGURES, ranks, styled

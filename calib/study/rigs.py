@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.random import SeedSequence
 
-from calib.arrays import FloatArray
+from calib.core.arrays import FloatArray
 from calib.fit.priors import NOISE_SCALE, NOISE_SCALE_PRIOR, Priors
 from calib.geometry.parameters import PARAMETERS
-from calib.observations import Observations
-from calib.observe import RowSettings, Setup
+from calib.rows.from_table import RowSettings, Setup
+from calib.rows.observations import Observations
 from calib.simulate.rig import RESOLUTIONS_DEG, Noise, Rig, draw_rig
 from calib.simulate.tables import draw_targets, observe, row_std
 from calib.study.conditions import Condition

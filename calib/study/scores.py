@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import chi2
 
-from calib.arrays import FloatArray
+from calib.core.arrays import FloatArray
 from calib.study.conditions import ADVICE, CONDITIONS
 from calib.study.rigs import BEYOND, INSIDE
 

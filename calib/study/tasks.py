@@ -8,10 +8,10 @@ from contextlib import closing
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from calib.errors import EstimationError, UsageError
-from calib.fingerprint import code_fingerprint, digest
-from calib.staging.file import Failure, unpack
-from calib.staging.side_by_side import Request, run_side_by_side
+from calib.core.errors import EstimationError, UsageError
+from calib.stages.fingerprint import code_fingerprint, digest
+from calib.stages.parallel import Request, run_side_by_side
+from calib.stages.stage_file import Failure, unpack
 from calib.study.conditions import ADVICE, CONDITIONS
 
 Record = dict[str, Any]

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.random import Generator, SeedSequence
 
-from calib.arrays import FloatArray
-from calib.errors import CalibError
+from calib.core.arrays import FloatArray
+from calib.core.errors import CalibError
 from calib.fit.compare import compare_samples
 from calib.fit.importance import ImportanceSample, sample_importance
 from calib.fit.linear import fit_bilinear, fit_linear
@@ -22,9 +22,9 @@ from calib.fit.posterior import laplace, posterior_of
 from calib.fit.priors import prior_of
 from calib.fit.robust import RobustFit, fit_model
 from calib.fit.start import first_guess
-from calib.geometry.closure import closure
+from calib.geometry.misclosure import closure
 from calib.geometry.parameters import MODELS, Model
-from calib.instrument import CalibratedInstrument, instrument_from_draws
+from calib.instrument.calibrated import CalibratedInstrument, instrument_from_draws
 from calib.study.conditions import Condition
 from calib.study.depths import DRAWS, depth_record, model_depths
 from calib.study.rigs import Bench, set_up

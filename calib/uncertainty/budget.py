@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import stdtrit
 
-from calib.arrays import FloatArray
+from calib.core.arrays import FloatArray
 
 COVERAGE = 0.95
 """Coverage probability of all intervals."""

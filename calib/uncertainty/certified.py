@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.errors import EstimationError
+from calib.core.errors import EstimationError
 from calib.uncertainty.conformity import (
     Conformity,
     ToleranceRule,

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.arrays import BoolArray, FloatArray
-from calib.errors import EstimationError
+from calib.core.arrays import BoolArray, FloatArray
+from calib.core.errors import EstimationError
 from calib.geometry.plane import gaze_at
 from calib.uncertainty.budget import COVERAGE, Budget
 from calib.uncertainty.joint import Asked, FixedNumber, Quantity, propagate_together, raise_first

@@ -7,7 +7,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from calib.arrays import FloatArray
+from calib.core.arrays import FloatArray
 
 PARTS = 10
 """Parts into which given draws are divided: their scatter is known to a quarter."""

@@ -12,8 +12,8 @@ from typing import Protocol
 
 import numpy as np
 
-from calib.arrays import FloatArray
-from calib.errors import EstimationError
+from calib.core.arrays import FloatArray
+from calib.core.errors import EstimationError
 from calib.uncertainty.measurement import Instrument
 from calib.uncertainty.model import MeasurementModel
 from calib.uncertainty.montecarlo import BLOCK_TRIALS

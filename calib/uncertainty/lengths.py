@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.arrays import FloatArray
+from calib.core.arrays import FloatArray
 from calib.uncertainty.budget import Budget
 from calib.uncertainty.joint import Asked, Quantity, propagate_together, raise_first
 from calib.uncertainty.measurement import Instrument, Reading

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.arrays import FloatArray
+from calib.core.arrays import FloatArray
 from calib.geometry.parameters import embed
 
 PARAMETERS_LABEL = "parameters"
@@ -203,7 +203,7 @@ class ModelShare:
     noise_factor
         By how much its fit proved the stated uncertainties of a reading too small, at least 1.
     factor95
-        Coverage factor of its inverse depth; see `calib.instrument.DepthTable`.
+        Coverage factor of its inverse depth; see `calib.instrument.calibrated.DepthTable`.
     """
 
     model: str

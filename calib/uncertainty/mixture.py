@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import ndtr
 
-from calib.arrays import FloatArray
+from calib.core.arrays import FloatArray
 from calib.uncertainty.montecarlo import NORMAL_FACTOR
 
 CLEARLY_LONGER = 1.25

@@ -17,8 +17,8 @@ from functools import cached_property
 
 import numpy as np
 
-from calib.arrays import FloatArray
-from calib.geometry.closure import depth_jacobian
+from calib.core.arrays import FloatArray
+from calib.geometry.misclosure import depth_jacobian
 from calib.geometry.parameters import INDEX, PARAMETERS, embed
 from calib.geometry.plane import OBSERVABLE, Gaze
 from calib.uncertainty.budget import Budget, InputQuantity, budget

@@ -19,8 +19,8 @@ from typing import TypeAlias
 
 import numpy as np
 
-from calib.arrays import FloatArray
-from calib.errors import EstimationError
+from calib.core.arrays import FloatArray
+from calib.core.errors import EstimationError
 from calib.uncertainty.budget import COVERAGE
 from calib.uncertainty.distributions import PARTS, GivenInputs, Inputs, StudentInputs, draw
 

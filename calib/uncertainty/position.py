@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.arrays import FloatArray
-from calib.geometry.closure import depth_jacobian
+from calib.core.arrays import FloatArray
+from calib.geometry.misclosure import depth_jacobian
 from calib.geometry.plane import OBSERVABLE, Gaze, depth
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.arrays import BoolArray, FloatArray
+from calib.core.arrays import BoolArray, FloatArray
 from calib.geometry.parameters import INDEX, embed
 from calib.geometry.plane import Gaze, drawn_planes
 from calib.uncertainty.distributions import factor

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.arrays import FloatArray
+from calib.core.arrays import FloatArray
 from calib.geometry.parameters import embed
 from calib.geometry.plane import DrawnPlanes, drawn_planes
 from calib.uncertainty.distributions import (

@@ -13,15 +13,14 @@ from calib.certificate.inputs import (
     CalibrationSummary,
     CertificateInputs,
     Derived,
-    Evidence,
     Issue,
-    NotCertified,
     Provenance,
 )
-from calib.gates import Gate
+from calib.core.gate import Gate
 from calib.uncertainty.certified import CertifiedDepth, certify_depths, check_depth
 from calib.uncertainty.conformity import ToleranceRule, assess, measured_conformity
 from calib.uncertainty.depth import reading_at
+from calib.uncertainty.evidence import Evidence, NotCertified
 from calib.uncertainty.lengths import Length, length_errors, length_limit
 from calib.uncertainty.measurement import (
     Instrument,

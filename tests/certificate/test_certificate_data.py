@@ -13,12 +13,13 @@ import pytest
 
 from calib.certificate.build import build_certificate
 from calib.certificate.data import CertificateData
-from calib.certificate.inputs import Administration, CertificateInputs, NotCertified, new_issue
+from calib.certificate.inputs import Administration, CertificateInputs, new_issue
 from calib.certificate.numbers import LISTED_CHECKS
-from calib.certificate.wording import NOT_STATED, clean
-from calib.gates import Gate
+from calib.core.gate import Gate
+from calib.results.wording import NOT_STATED, clean
 from calib.uncertainty.certified import CheckedDepth, check_depth
 from calib.uncertainty.conformity import ToleranceRule
+from calib.uncertainty.evidence import NotCertified
 
 DIGITS = "0123456789ab"
 

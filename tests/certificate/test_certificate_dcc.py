@@ -15,7 +15,7 @@ from calib.certificate.build import build_certificate
 from calib.certificate.dcc import render_dcc
 from calib.certificate.html import render_html
 from calib.certificate.inputs import Administration, CertificateInputs
-from calib.gates import Gate
+from calib.core.gate import Gate
 from calib.uncertainty.conformity import ToleranceRule
 
 AMENDED = replace(example.STATED, replaces="AG-1", amendment="serial number", received="2026-01-30")

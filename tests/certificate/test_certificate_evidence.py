@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 from numpy.random import SeedSequence
 
-from calib.certificate.evidence import gather_evidence
-from calib.certificate.inputs import Evidence
-from calib.codec import put_together, take_apart
 from calib.dataset.tables import LengthTable
 from calib.geometry.camera import Camera
 from calib.geometry.plane import gaze_at
-from calib.instrument import CalibratedInstrument, ValidationResult
-from calib.observations import Observations
-from calib.observe import CameraSet, RowSettings, Setup, ValidationRows
-from calib.shared_errors import Shared
+from calib.instrument.calibrated import CalibratedInstrument, ValidationResult
+from calib.instrument.evidence import gather_evidence
+from calib.rows.common_errors import Shared
+from calib.rows.from_table import CameraSet, RowSettings, Setup, ValidationRows
+from calib.rows.observations import Observations
+from calib.stages.serialise import put_together, take_apart
+from calib.uncertainty.evidence import Evidence
 from calib.uncertainty.measurement import Instrument, ParameterKnowledge, SharedErrors
 from calib.uncertainty.predictive import DepthPrediction
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from calib.chain.calibrate import Options, calibrate
 from calib.dataset.load import load_dataset
-from calib.pipeline import Options, calibrate
-from calib.results import Calibration
+from calib.results.calibration import Calibration
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ import pytest
 from chain_runs import Chain, run_chain
 from dcc_schema import checked, sources
 
-from calib.errors import InputError
+from calib.core.errors import InputError
 from calib.simulate.contents import IntrinsicViews, SimulationOptions, SweepPlan
 from calib.simulate.dataset import simulate_dataset
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from calib.__main__ import main
+from calib.cli.main import main
 
 CALIB = Path(sys.executable).with_name("calib")
 DATASETS = Path(__file__).parents[2] / "datasets"

@@ -11,7 +11,7 @@ from contextlib import suppress
 
 import pytest
 
-from calib.console import Console
+from calib.cli.console import Console
 
 
 def talk(console: Console) -> None:

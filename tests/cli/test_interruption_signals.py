@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from calib.interruption import interrupt_on
+from calib.stages.interruption import interrupt_on
 
 
 class Finalised:

@@ -16,7 +16,7 @@ import pytest
 from command import call, tree
 
 import calib.fit.posterior
-import calib.store
+import calib.stages.store
 
 TRUTH = {"baseline_mm": 140.0, "delta2_rad": 0.02, "axis_z_mm": -25.0, "eccentricity_mm": 2.0}
 
@@ -28,7 +28,7 @@ def test_truth_is_recovered(
     short = {"BLOCK_STEPS": 200, "TAU_MULTIPLE": 5.0, "ESS_GOAL": 100.0, "R_HAT_LIMIT": 1.5}
     for name, value in short.items():
         monkeypatch.setattr(calib.fit.posterior, name, value)
-    monkeypatch.setattr(calib.store, "processors", lambda: 1)  # others would not see that
+    monkeypatch.setattr(calib.stages.store, "processors", lambda: 1)  # others would not see that
     data, out = tmp_path / "rig", tmp_path / "out"
     asked = [f"--set={name}={value}" for name, value in TRUTH.items()]
     made = call(capsys, "simulate", data, "--seed", 3, "--rows", 20, "--outliers", 0.1, *asked)

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 from command import CALIB, DATASETS, GOOD, call, dataset, process, tree
 
-from calib.__main__ import main
+from calib.cli.main import main
 
 HEAVY = {"numpy", "cv2", "scipy", "matplotlib", "h5py", "pydantic", "emcee", "cvxpy", "tqdm"}
 
@@ -24,7 +24,7 @@ HEAVY = {"numpy", "cv2", "scipy", "matplotlib", "h5py", "pydantic", "emcee", "cv
 def test_help_imports_nothing_heavy(arguments: list[str]) -> None:
     code = (
         "import sys\n"
-        "from calib.__main__ import main\n"
+        "from calib.cli.main import main\n"
         "try:\n"
         "    main(sys.argv[1:])\n"
         "except SystemExit:\n"
@@ -41,7 +41,7 @@ def test_help_imports_nothing_heavy(arguments: list[str]) -> None:
 
 def test_check_of_tables_loads_no_image_library() -> None:
     code = (
-        "import sys; from calib.__main__ import main\n"
+        "import sys; from calib.cli.main import main\n"
         f"assert main(['check', {str(DATASETS / 'xu-wang-2017')!r}]) == 0\n"
         "print('LOADED', *sorted({name.split('.')[0] for name in sys.modules}))\n"
     )

@@ -5,9 +5,9 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+from calib.core.errors import Problem
 from calib.dataset.load import check_dataset
-from calib.dataset.words import text_fault
-from calib.errors import Problem
+from calib.dataset.messages import text_fault
 
 MANIFEST = """format = 1
 name = "rig"

@@ -20,10 +20,10 @@ from dataset_examples import (
     write_dataset,
 )
 
+from calib.core.errors import InputError
 from calib.dataset.camera_file import LITERAL_LIMIT, read_camera
 from calib.dataset.contents import given_camera
 from calib.dataset.load import load_dataset
-from calib.errors import InputError
 
 MRCAL = """# OPENCV8
 {

@@ -19,8 +19,8 @@ from dataset_examples import (
     write_dataset,
 )
 
+from calib.core.errors import InputError
 from calib.dataset.load import check_dataset, load_dataset
-from calib.errors import InputError
 
 PNG = b"\x89PNG, only looked at by the detector"
 IMAGE_CAMERA = '[cameras.c1]\nimage_size = [400, 300]\nimages = "c1/*.png"\n'

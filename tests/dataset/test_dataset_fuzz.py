@@ -19,6 +19,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from test_camera_file import MRCAL, opencv_yaml
 
+from calib.core.errors import InputError
 from calib.dataset.camera_file import read_camera
 from calib.dataset.faults import parse_manifest
 from calib.dataset.fields import PRIOR_NAMES
@@ -26,7 +27,6 @@ from calib.dataset.load import check_dataset, load_dataset
 from calib.dataset.manifest import Board, Camera, Certificate, Encoder, Gaze, Manifest, Stereo
 from calib.dataset.readers import read_gaze, read_lengths, read_measurements, read_sweep
 from calib.dataset.tables import GazeTable
-from calib.errors import InputError
 
 QUICK = settings(
     max_examples=150,

@@ -17,11 +17,11 @@ import numpy as np
 import pytest
 from dataset_examples import GAZE, MANIFEST, replaced, write_dataset
 
+from calib.core.errors import InputError
 from calib.dataset.faults import parse_manifest
 from calib.dataset.load import check_dataset, load_dataset
 from calib.dataset.manifest import Manifest
 from calib.dataset.readers import read_gaze, read_lengths, read_measurements, read_sweep
-from calib.errors import InputError
 
 PNG = b"\x89PNG, only looked at by the detector"
 GIVEN_CAMERA = MANIFEST[MANIFEST.index("[cameras.c1]") : MANIFEST.index("[encoder]")]

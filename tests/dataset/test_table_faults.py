@@ -11,9 +11,9 @@ from typing import Any
 import pytest
 from dataset_examples import GAZE, assert_problem, assert_readable, replaced
 
+from calib.core.errors import InputError, Problem
 from calib.dataset.cells import NAMED_ROWS
 from calib.dataset.readers import read_gaze, read_lengths, read_measurements, read_sweep
-from calib.errors import InputError, Problem
 
 
 def problems_of(

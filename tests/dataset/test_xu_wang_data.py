@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.arrays import FloatArray
+from calib.core.arrays import FloatArray
 from calib.dataset.contents import Dataset, given_camera
 from calib.dataset.load import load_dataset
 from calib.dataset.tables import GazeTable

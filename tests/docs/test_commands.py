@@ -30,7 +30,7 @@ if {short}:
     import short_chain
     short_chain.shorten(setattr)
     warnings.simplefilter("ignore")
-from calib.__main__ import main
+from calib.cli.main import main
 sys.exit(main())
 """
 

@@ -7,7 +7,7 @@ import numpy as np
 from calib.fit.priors import Priors
 from calib.geometry.parameters import vector
 from calib.geometry.plane import OBSERVABLE, gaze_at
-from calib.observations import Observations
+from calib.rows.observations import Observations
 
 NO_PRIORS = Priors({})
 

@@ -20,11 +20,11 @@ from calib.fit.leave_one_out import leave_one_out, of_sample
 from calib.fit.noise import own_sigma
 from calib.fit.posterior import laplace, posterior_of
 from calib.fit.robust import RobustFit, fit_model, fit_robust
-from calib.geometry.closure import closure
+from calib.geometry.misclosure import closure
 from calib.geometry.parameters import MODELS
 from calib.geometry.plane import OBSERVABLE
-from calib.observations import GROUP_SOURCE, Observations, depth_groups
 from calib.plan.prepare import _without_groups
+from calib.rows.observations import GROUP_SOURCE, Observations, depth_groups
 
 U_GROUP = 0.002
 

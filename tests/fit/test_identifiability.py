@@ -12,16 +12,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.codec import put_together, take_apart
 from calib.fit.identifiability import UNDETERMINED, Identifiability, identifiability
 from calib.fit.information import Known, beforehand, row_information
 from calib.fit.priors import Measured, Priors, measured_of, prior_of
 from calib.fit.robust import RobustFit, fit_robust
 from calib.geometry.parameters import MODELS
 from calib.geometry.plane import OBSERVABLE
-from calib.observations import Observations
+from calib.rows.observations import Observations
 from calib.simulate.rig import Rig, draw_rig
 from calib.simulate.tables import observe
+from calib.stages.serialise import put_together, take_apart
 
 PRIORS = Priors({})
 

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from fit_rows import simulated, table_1
 
-from calib.errors import EstimationError
+from calib.core.errors import EstimationError
 from calib.fit.convex import fit_convex
 from calib.fit.linear import fit_bilinear, fit_linear
 from calib.fit.noise import row_noise
 from calib.fit.start import first_guess
-from calib.geometry.closure import closure
+from calib.geometry.misclosure import closure
 
 
 def test_table_1_gives_the_papers_result() -> None:

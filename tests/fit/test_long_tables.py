@@ -25,7 +25,7 @@ from calib.fit.posterior import (
     sample_posterior,
 )
 from calib.fit.robust import fit_robust
-from calib.geometry.closure import closure_value
+from calib.geometry.misclosure import closure_value
 from calib.geometry.parameters import MODELS, embed
 
 

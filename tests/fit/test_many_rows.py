@@ -19,9 +19,9 @@ from calib.fit.priors import Measured, NormalKnowledge, Priors, measured_of, pri
 from calib.fit.robust import RobustFit, fit_robust
 from calib.fit.row_sums import residuals, sum_rows
 from calib.fit.settle import LAST_STEP, Problem, Solution
-from calib.geometry.closure import closure, closure_value
+from calib.geometry.misclosure import closure, closure_value
 from calib.geometry.parameters import MODELS, Model, embed
-from calib.observations import Observations
+from calib.rows.observations import Observations
 
 TRUTH = {
     "axis_z_mm": -20.0, "eccentricity_mm": 2.0, "axis_tilt_x_rad": 0.01, "gaze_roll_rad": 0.008,

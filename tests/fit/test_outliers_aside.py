@@ -15,7 +15,7 @@ from calib.fit.posterior import laplace, posterior_of
 from calib.fit.priors import Priors
 from calib.fit.robust import RobustFit, fit_robust
 from calib.geometry.parameters import MODELS
-from calib.observations import Observations
+from calib.rows.observations import Observations
 from calib.simulate.rig import draw_rig
 from calib.simulate.tables import simulate_rows
 

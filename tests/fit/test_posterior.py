@@ -10,7 +10,7 @@ from fit_rows import NO_PRIORS, simulated, table_1
 from numpy.random import SeedSequence
 from scipy.stats import multivariate_normal
 
-from calib.errors import EstimationError
+from calib.core.errors import EstimationError
 from calib.fit.compare import compare_models, select
 from calib.fit.density import log_posterior
 from calib.fit.importance import sample_importance
@@ -18,7 +18,7 @@ from calib.fit.noise import CLEAN, log_density, row_noise
 from calib.fit.posterior import ENSEMBLES, Posterior, laplace, sample_posterior
 from calib.fit.priors import NOISE_SCALE, Measured, Priors, measured_of, prior_of
 from calib.fit.robust import RobustFit, fit_robust
-from calib.geometry.closure import closure
+from calib.geometry.misclosure import closure
 from calib.geometry.parameters import MODELS, embed
 
 

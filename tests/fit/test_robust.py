@@ -11,12 +11,12 @@ from fit_rows import NO_PRIORS, simulated, table_1
 from scipy.integrate import quad
 from scipy.stats import norm
 
-from calib.errors import EstimationError
+from calib.checks.encoder_direction import check_sense
+from calib.core.errors import EstimationError
 from calib.fit.noise import CLEAN, ROBUST, Tails, log_density, row_noise
 from calib.fit.priors import Measured, Priors
 from calib.fit.robust import fit_model, fit_robust
-from calib.fit.sense import check_sense
-from calib.geometry.closure import closure
+from calib.geometry.misclosure import closure
 from calib.geometry.parameters import MODELS
 
 OFFSET = MODELS["axis-offset"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.errors import EstimationError
+from calib.core.errors import EstimationError
 from calib.geometry.camera import (
     Camera,
     camera_from_vector,

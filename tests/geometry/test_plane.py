@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calib.geometry.closure import closure, depth_jacobian
+from calib.geometry.misclosure import closure, depth_jacobian
 from calib.geometry.parameters import COUNT, MODELS, NAMES, PARAMETERS, embed, vector
 from calib.geometry.plane import OBSERVABLE, Gaze, depth, encoder_reading, gaze_angle, gaze_at
 

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from calib.arrays import FloatArray
+from calib.core.arrays import FloatArray
+from calib.geometry.board import Board, Corners
 from calib.geometry.camera import Camera
 from calib.images.bundle import bowed
-from calib.images.types import Board, Corners
 from calib.simulate.rig import Rig, c2_pose
 
 BOARD = Board("chessboard", 9, 6, 30.0, (4, 3))

@@ -7,10 +7,10 @@ from collections.abc import Callable
 import cv2
 import numpy as np
 
-from calib.arrays import FloatArray
+from calib.core.arrays import FloatArray
+from calib.geometry.board import Board, Corners
 from calib.geometry.camera import Camera, project
 from calib.images.bundle import bowed
-from calib.images.types import Board, Corners
 
 BOARD = Board("chessboard", 9, 6, 25.0, (4, 3))
 SIZE = (640, 480)

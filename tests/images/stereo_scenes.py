@@ -5,8 +5,8 @@ from __future__ import annotations
 import board_scenes as scenes
 import numpy as np
 
-from calib.images.stereo_solve import CameraPair
-from calib.images.types import Corners
+from calib.geometry.board import Corners
+from calib.images.stereo.solve import CameraPair
 
 SIGMA_PX = 0.1
 LENS_COVARIANCE = np.diag([0.4, 0.4, 0.5, 0.5, 0.004, 0.02, 1e-4, 1e-4, 0.03]) ** 2

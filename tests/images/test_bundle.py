@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calib.errors import EstimationError
+from calib.core.errors import EstimationError
 from calib.geometry.camera import Camera
 from calib.images.bundle import Block, bowed, dispersion, inverse, minimise, project_points, proven
 

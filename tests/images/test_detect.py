@@ -11,15 +11,15 @@ import lens_scenes as scenes
 import numpy as np
 import pytest
 
-from calib.errors import InputError
+from calib.core.errors import InputError
+from calib.geometry.board import Board
 from calib.geometry.camera import Camera
-from calib.images import detect as detect_stage
-from calib.images.detect import detect
-from calib.images.detect_board import CHESSBOARD_DETECTORS, Found, find_chessboard
-from calib.images.detect_charuco import CharucoFinder
-from calib.images.detect_grid import irregular, orient_like, spacing, squares
-from calib.images.picture import read_grey, thumbnail
-from calib.images.types import Board
+from calib.images.detection import find as detect_stage
+from calib.images.detection.board import CHESSBOARD_DETECTORS, Found, find_chessboard
+from calib.images.detection.charuco import CharucoFinder
+from calib.images.detection.find import detect
+from calib.images.detection.grid import irregular, orient_like, spacing, squares
+from calib.images.detection.picture import read_grey, thumbnail
 from calib.simulate.pattern import board_pattern
 from calib.simulate.render import Imager, Optics, prepare, render
 

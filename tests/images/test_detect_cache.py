@@ -9,10 +9,10 @@ import lens_scenes as scenes
 import numpy as np
 import pytest
 
-from calib.errors import InputError
-from calib.images.detect_cache import read_cache, write_cache
-from calib.images.types import Board
-from calib.mrcal_python import DEFAULT_INTERPRETER
+from calib.core.errors import InputError
+from calib.core.mrcal_python import DEFAULT_INTERPRETER
+from calib.dataset.corner_cache import read_cache, write_cache
+from calib.geometry.board import Board
 
 SMALL = Board("chessboard", 3, 2, 25.0, (0, 0))
 

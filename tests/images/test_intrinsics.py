@@ -9,12 +9,12 @@ import lens_scenes as scenes
 import numpy as np
 import pytest
 
-from calib.arrays import FloatArray
-from calib.errors import EstimationError, InputError
+from calib.core.arrays import FloatArray
+from calib.core.errors import EstimationError, InputError
+from calib.geometry.board import Corners
 from calib.geometry.camera import intrinsic_vector
-from calib.images.intrinsics import Intrinsics, calibrate_intrinsics
-from calib.images.intrinsics_gates import orientation_fault
-from calib.images.types import Corners
+from calib.images.intrinsics.calibrate import Intrinsics, calibrate_intrinsics
+from calib.images.intrinsics.gates import orientation_fault
 
 TRUTH = intrinsic_vector(scenes.CAMERA)
 FOCAL = 540.0

@@ -9,8 +9,10 @@ import lens_scenes as scenes
 import numpy as np
 import pytest
 
+from calib.geometry.board import LensFit
 from calib.geometry.camera import Camera, camera_from_vector, intrinsic_vector, normalise
-from calib.images.intrinsics_maps import (
+from calib.images.intrinsics.by_opencv import fit_opencv
+from calib.images.intrinsics.maps import (
     CELLS,
     GRID,
     LensRays,
@@ -20,8 +22,6 @@ from calib.images.intrinsics_maps import (
     nodes,
     rays_of,
 )
-from calib.images.intrinsics_opencv import fit_opencv
-from calib.images.types import LensFit
 
 
 @pytest.fixture(scope="module")

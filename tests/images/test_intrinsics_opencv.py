@@ -10,11 +10,11 @@ import lens_scenes as scenes
 import numpy as np
 import pytest
 
-from calib.errors import EstimationError
+from calib.core.errors import EstimationError
+from calib.geometry.board import Corners, LensFit
 from calib.geometry.camera import intrinsic_vector
-from calib.images.intrinsics_covariance import view_scores
-from calib.images.intrinsics_opencv import fit_opencv
-from calib.images.types import Corners, LensFit
+from calib.images.intrinsics.by_opencv import fit_opencv
+from calib.images.intrinsics.covariance import view_scores
 
 TRUTH = intrinsic_vector(scenes.CAMERA)
 POINTS = scenes.BOARD.object_points()

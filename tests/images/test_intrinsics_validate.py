@@ -6,11 +6,11 @@ import lens_scenes as scenes
 import numpy as np
 import pytest
 
-from calib.arrays import FloatArray
+from calib.core.arrays import FloatArray
+from calib.geometry.board import Corners
 from calib.geometry.camera import Camera
-from calib.images.intrinsics_opencv import LENSES, fit_opencv
-from calib.images.intrinsics_validate import CrossValidation, cross_validate, select_lens
-from calib.images.types import Corners
+from calib.images.intrinsics.by_opencv import LENSES, fit_opencv
+from calib.images.intrinsics.validate import CrossValidation, cross_validate, select_lens
 
 EQUIDISTANT_PX = 260.0
 POINTS = dict.fromkeys(LENSES, scenes.BOARD.object_points())

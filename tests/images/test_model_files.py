@@ -9,10 +9,10 @@ import cv2
 import numpy as np
 import pytest
 
+from calib.core.mrcal_python import DEFAULT_INTERPRETER
 from calib.dataset.camera_file import read_camera
 from calib.geometry.camera import Camera, intrinsic_vector
-from calib.images.model_files import cameramodel_text, opencv_text
-from calib.mrcal_python import DEFAULT_INTERPRETER
+from calib.images.intrinsics.model_files import cameramodel_text, opencv_text
 
 MATRIX = np.array([[540.123456789, 0, 322.3], [0, 541.5, 236.8], [0, 0, 1]])
 CAMERAS = [

@@ -18,12 +18,13 @@ import lens_scenes
 import numpy as np
 import pytest
 
-from calib.errors import EstimationError
+from calib.core.errors import EstimationError
+from calib.geometry.board import Board, Corners
 from calib.geometry.camera import Camera, intrinsic_vector, normalise
-from calib.images import mrcal_call, mrcal_worker
-from calib.images.mrcal_call import MrcalMissingError
-from calib.images.mrcal_process import lens_fits, solve, splined_lens
-from calib.images.types import Board, Corners
+from calib.images.mrcal import call as mrcal_call
+from calib.images.mrcal import worker as mrcal_worker
+from calib.images.mrcal.call import MrcalMissingError
+from calib.images.mrcal.solves import lens_fits, solve, splined_lens
 
 OPENCV5 = "LENSMODEL_OPENCV5"
 SIGMA_PX = 0.1

@@ -6,12 +6,12 @@ import board_scenes as scenes
 import numpy as np
 import pytest
 
-from calib.arrays import FloatArray
+from calib.core.arrays import FloatArray
 from calib.dataset.tables import GazeTable
-from calib.images.sightings import CornerNoise, sight
-from calib.images.types import Corners
-from calib.observe import CameraSet, Sightings
-from calib.shared_errors import Shared
+from calib.geometry.board import Corners
+from calib.rows.common_errors import Shared
+from calib.rows.from_images import CornerNoise, sight
+from calib.rows.from_table import CameraSet, Sightings
 
 INTRINSICS_PX = 0.02
 ROWS_PX = 0.08

@@ -13,15 +13,16 @@ import numpy as np
 import pytest
 from stereo_scenes import KNOWN, LENS_COVARIANCE, SIGMA_PX, noisy
 
-from calib.arrays import FloatArray
+from calib.core.arrays import FloatArray
+from calib.geometry.board import Board, Corners
 from calib.geometry.camera import camera_from_vector, intrinsic_vector
-from calib.images import mrcal_call, mrcal_process
+from calib.geometry.poses import invert_pose, pose_matrix, pose_vector, transform
+from calib.images.mrcal import call as mrcal_call
+from calib.images.mrcal import solves as mrcal_process
 from calib.images.pairs import start_pairs
-from calib.images.poses import invert_pose, pose_matrix, pose_vector, transform
-from calib.images.stereo import given_reference, stereo_reference
-from calib.images.stereo_solve import CameraPair, joint_covariance, solve_mrcal, solve_opencv
-from calib.images.triangulate import find_targets, position_on_board, triangulate
-from calib.images.types import Board, Corners
+from calib.images.stereo.reference import given_reference, stereo_reference
+from calib.images.stereo.solve import CameraPair, joint_covariance, solve_mrcal, solve_opencv
+from calib.images.stereo.triangulate import find_targets, position_on_board, triangulate
 
 
 @pytest.fixture(scope="module")

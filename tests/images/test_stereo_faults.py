@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from stereo_scenes import KNOWN, LENS_COVARIANCE, noisy
 
-from calib.arrays import FloatArray
-from calib.errors import EstimationError
+from calib.core.arrays import FloatArray
+from calib.core.errors import EstimationError
+from calib.geometry.board import Corners
+from calib.geometry.poses import rotation
 from calib.images.pairs import start_pairs
-from calib.images.poses import rotation
-from calib.images.stereo import given_reference, stereo_reference
-from calib.images.stereo_solve import CameraPair
-from calib.images.types import Corners
+from calib.images.stereo.reference import given_reference, stereo_reference
+from calib.images.stereo.solve import CameraPair
 
 
 @pytest.fixture(scope="module")

@@ -10,16 +10,16 @@ import board_scenes as scenes
 import numpy as np
 import pytest
 
-from calib.arrays import FloatArray
-from calib.errors import EstimationError
+from calib.core.arrays import FloatArray
+from calib.core.errors import EstimationError
+from calib.geometry.board import Board, Corners
 from calib.geometry.camera import camera_from_vector, intrinsic_vector
 from calib.geometry.parameters import INDEX
+from calib.geometry.poses import pose_vector
 from calib.images.bundle import sum_blocks
-from calib.images.poses import pose_vector
-from calib.images.sweep import NAMES, SweepResult, yaw_sweep
-from calib.images.sweep_model import AXIS, ENCODER, SweepProblem, blocks_of, residuals_of
-from calib.images.sweep_solve import SweepReadings, solve_sweep
-from calib.images.types import Board, Corners
+from calib.images.sweep.model import AXIS, ENCODER, SweepProblem, blocks_of, residuals_of
+from calib.images.sweep.solve import SweepReadings, solve_sweep
+from calib.images.sweep.yaw_axis import NAMES, SweepResult, yaw_sweep
 from calib.simulate.rig import Rig, c2_pose, draw_rig, yaw_axis_in_c2
 
 SIGMA_PX = 0.1

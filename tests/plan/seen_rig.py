@@ -6,12 +6,12 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.arrays import FloatArray
+from calib.core.arrays import FloatArray
+from calib.dataset.corner_cache import write_cache
+from calib.geometry.board import Board, Corners
 from calib.geometry.camera import Camera, project
 from calib.geometry.parameters import vector
 from calib.geometry.plane import gaze_at
-from calib.images.detect_cache import write_cache
-from calib.images.types import Board, Corners
 
 SIZE = (1280, 960)
 CAMERA = Camera(np.array([[1000.0, 0, 640], [0, 1000.0, 480], [0, 0, 1]]), np.zeros(5), SIZE)

@@ -7,7 +7,7 @@ from itertools import combinations_with_replacement
 import numpy as np
 import pytest
 
-from calib.errors import UsageError
+from calib.core.errors import UsageError
 from calib.geometry.camera import Camera
 from calib.geometry.parameters import MODELS, vector
 from calib.plan.advise import advise, regular

@@ -13,15 +13,15 @@ import numpy as np
 import pytest
 from seen_rig import CAMERA, STEREO, THETA, seen_rig
 
-from calib.__main__ import main
+from calib.cli.main import main
+from calib.cli.plan import add_arguments, run
+from calib.core.errors import EstimationError, UsageError
 from calib.dataset.contents import Dataset
 from calib.dataset.load import load_dataset
-from calib.errors import EstimationError, UsageError
 from calib.fit.priors import Measured
-from calib.plan.command import add_arguments, run
 from calib.plan.prepare import prepare
-from calib.plan.sofar import SoFar, from_images
-from calib.store import Store
+from calib.plan.prior_knowledge import SoFar, from_images
+from calib.stages.store import Store
 
 ROOT = Path(__file__).parents[2]
 DATA = str(ROOT / "datasets" / "xu-wang-2017")

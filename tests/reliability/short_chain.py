@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import IO
 
 import calib.fit.posterior
-import calib.store
+import calib.stages.store
 
 MANIFEST = """\
 format = 1
@@ -57,7 +57,7 @@ def shorten(assign: Callable[[object, str, object], object]) -> None:
     """Cut the chains short, in this process; `assign` is setattr or monkeypatch.setattr."""
     for name, value in SHORT.items():
         assign(calib.fit.posterior, name, value)
-    assign(calib.store, "processors", lambda: 1)
+    assign(calib.stages.store, "processors", lambda: 1)
 
 
 def dataset(folder: Path) -> Path:
@@ -115,8 +115,8 @@ def _say(stream: IO[str], what: object) -> None:
 
 
 def _serve() -> None:
-    import calib.pipeline  # noqa: F401 - loaded once, for all forks
-    from calib.__main__ import main
+    import calib.chain.calibrate  # noqa: F401 - loaded once, for all forks
+    from calib.cli.main import main
 
     shorten(setattr)
     # emcee warns of chains as short as these.

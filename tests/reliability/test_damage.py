@@ -19,12 +19,12 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from calib.arrays import FloatArray
-from calib.errors import CalibError
-from calib.hdf5 import hdf5_arrays, hdf5_bytes
-from calib.staging import call, step
-from calib.staging.file import DOCUMENT, SEAL_BYTES, Failure, is_intact, pack, read, sealed
-from calib.store import Store
+from calib.core.arrays import FloatArray
+from calib.core.errors import CalibError
+from calib.core.hdf5 import hdf5_arrays, hdf5_bytes
+from calib.stages import call, step
+from calib.stages.stage_file import DOCUMENT, SEAL_BYTES, Failure, is_intact, pack, read, sealed
+from calib.stages.store import Store
 
 
 @dataclass(frozen=True)

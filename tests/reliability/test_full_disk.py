@@ -17,15 +17,15 @@ from pathlib import Path
 import pytest
 from short_chain import dataset
 
-from calib import store
-from calib.__main__ import main
-from calib.errors import UsageError
-from calib.staging.file import is_intact
+from calib.cli.main import main
+from calib.core.errors import UsageError
+from calib.stages import store
+from calib.stages.stage_file import is_intact
 
 LIMITED = """\
 import resource, sys, warnings
 import short_chain
-from calib.__main__ import main
+from calib.cli.main import main
 short_chain.shorten(setattr)
 warnings.simplefilter("ignore")
 limit = int(sys.argv[1])

@@ -19,8 +19,8 @@ import numpy as np
 import pytest
 from short_chain import shorten
 
-from calib.__main__ import main
-from calib.observations import GROUP_SOURCE
+from calib.cli.main import main
+from calib.rows.observations import GROUP_SOURCE
 from calib.simulate.rig import draw_rig
 from calib.simulate.tables import draw_targets, observe
 

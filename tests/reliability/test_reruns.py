@@ -17,10 +17,10 @@ from pathlib import Path
 import pytest
 from short_chain import dataset, shorten
 
-import calib.pipeline
-from calib import fingerprint
+import calib.chain.calibrate
+from calib.chain.calibrate import Options, calibrate
 from calib.dataset.load import load_dataset
-from calib.pipeline import Options, calibrate
+from calib.stages import fingerprint
 
 OBSERVED = {"observations", "sense", "base/linear", "base/convex"}
 ROBUST = {f"{model}/robust" for model in ("base", "axis-offset", "axis-tilt", "encoder")}
@@ -64,7 +64,7 @@ class Case:
 
 def without_files(patch: pytest.MonkeyPatch) -> None:
     """Write no report: it is written whatever has run, and these tests look at stages."""
-    patch.setattr(calib.pipeline, "write_outputs", lambda *_, **__: ())
+    patch.setattr(calib.chain.calibrate, "write_outputs", lambda *_, **__: ())
 
 
 def clear_caches() -> None:
@@ -82,7 +82,7 @@ def clear_caches() -> None:
 @pytest.fixture(scope="module")
 def copied(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """Point the fingerprints to a copy of the package; yield its folder."""
-    real = Path(fingerprint.__file__).parent
+    real = Path(fingerprint.__file__).parents[1]
     copy = tmp_path_factory.mktemp("copy") / "calib"
     shutil.copytree(real, copy, ignore=shutil.ignore_patterns("__pycache__"))
     find = fingerprint._source
@@ -93,7 +93,7 @@ def copied(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(fingerprint, "_source", source)
-        patch.setattr(fingerprint, "__file__", str(copy / "fingerprint.py"))
+        patch.setattr(fingerprint, "__file__", str(copy / "stages" / "fingerprint.py"))
         clear_caches()
         yield copy
     clear_caches()
@@ -103,7 +103,7 @@ def copied(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 def finished(copied: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("finished")
     data = dataset(folder / "data")
-    assert (copied / "pipeline.py").exists()
+    assert (copied / "chain" / "calibrate.py").exists()
     with pytest.MonkeyPatch.context() as patch:
         shorten(patch.setattr)
         without_files(patch)

@@ -16,29 +16,29 @@ import numpy as np
 import pytest
 
 import calib.fit.posterior
+from calib.chain.calibrate import Options, calibrate
+from calib.core.gate import Gate
 from calib.dataset.load import load_dataset
-from calib.gates import Gate
+from calib.geometry.board import Corners, LensFit
 from calib.geometry.camera import Camera
-from calib.images.intrinsics import Intrinsics
-from calib.images.intrinsics_maps import (
+from calib.images.contact_sheet import ContactSheet
+from calib.images.intrinsics.calibrate import Intrinsics
+from calib.images.intrinsics.maps import (
     compare,
     map_uncertainty,
     measure_coverage,
     nodes,
     rays_of,
 )
-from calib.images.intrinsics_validate import CrossValidation
+from calib.images.intrinsics.validate import CrossValidation
 from calib.images.result import ImageResult
-from calib.images.stages import ContactSheet
-from calib.images.stereo import StereoReference
-from calib.images.stereo_solve import StereoSolve
-from calib.images.sweep import SweepResult
-from calib.images.triangulate import Positions, Targets
-from calib.images.types import Corners, LensFit
-from calib.pipeline import Options, calibrate
-from calib.provenance import Provenance
+from calib.images.stereo.reference import StereoReference
+from calib.images.stereo.solve import StereoSolve
+from calib.images.stereo.triangulate import Positions, Targets
+from calib.images.sweep.yaw_axis import SweepResult
 from calib.report.context import ReportContext, report_context
-from calib.results import Calibration
+from calib.results.calibration import Calibration
+from calib.stages.provenance import Provenance
 
 DATASET = Path(__file__).parents[2] / "datasets" / "xu-wang-2017"
 

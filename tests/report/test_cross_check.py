@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from report_examples import paper
 
-from calib.arrays import FloatArray
-from calib.cross_check import FREE_SHIFT_MM, FREE_TURN_RAD, YawCheck, check_yaw, yaw_warnings
+from calib.checks.stereo_pose import FREE_SHIFT_MM, FREE_TURN_RAD, YawCheck, check_yaw, yaw_warnings
+from calib.core.arrays import FloatArray
 from calib.geometry.parameters import INDEX, MODELS
-from calib.images.poses import pose_vector, rotation
+from calib.geometry.poses import pose_vector, rotation
 from calib.simulate.rig import Rig, c2_pose, draw_rig
 
 READING = 1.4

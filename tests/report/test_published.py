@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from report_examples import everything
 
+from calib.core.errors import InputError
 from calib.dataset.load import load_dataset
-from calib.errors import InputError
-from calib.images.poses import invert_pose
+from calib.geometry.poses import invert_pose
 from calib.report.sections.published import published
 
 

@@ -19,10 +19,10 @@ from lxml import etree, html
 from matplotlib.figure import Figure
 from report_examples import everything, images, paper
 
-from calib.gates import Gate
+from calib.core.gate import Gate
 from calib.report import plotting
 from calib.report.page import SECTIONS, render_report
-from calib.results_fits import effective_baseline
+from calib.results.fits_document import effective_baseline
 
 LIMIT_BYTES = 3_000_000
 

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from report_examples import paper
 
+from calib.checks.verdict import all_gates, disagreements, gaze_gates, gaze_warnings
 from calib.fit.identifiability import Identifiability
 from calib.geometry.plane import OBSERVABLE
-from calib.results import GazeResult
-from calib.verdict import all_gates, disagreements, gaze_gates, gaze_warnings
+from calib.results.calibration import GazeResult
 
 
 def gaze() -> GazeResult:

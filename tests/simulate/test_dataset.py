@@ -12,13 +12,13 @@ import cv2
 import numpy as np
 import pytest
 
+from calib.core.errors import UsageError
 from calib.dataset.load import load_dataset
-from calib.errors import UsageError
+from calib.geometry.board import Board
 from calib.geometry.camera import Camera, project
 from calib.geometry.parameters import vector
 from calib.geometry.plane import Gaze, depth
-from calib.images.detect_board import find_chessboard
-from calib.images.types import Board
+from calib.images.detection.board import find_chessboard
 from calib.simulate.contents import LENGTHS, SimulationOptions
 from calib.simulate.dataset import simulate_dataset
 from calib.simulate.plan import plan_dataset

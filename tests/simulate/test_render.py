@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 import pytest
 
+from calib.geometry.board import Board
 from calib.geometry.camera import Camera, project
-from calib.images.detect_board import find_chessboard
-from calib.images.types import Board
+from calib.images.detection.board import find_chessboard
 from calib.simulate.pattern import BLACK, SURROUNDINGS, WHITE, board_pattern, charuco_board
 from calib.simulate.render import Imager, Optics, prepare, render
 from calib.simulate.rig import draw_camera

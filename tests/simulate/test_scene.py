@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 import pytest
 
-from calib.errors import UsageError
+from calib.core.errors import UsageError
+from calib.geometry.board import Board
 from calib.geometry.plane import gaze_at
-from calib.images.types import Board
 from calib.simulate.rig import Rig, c2_pose, draw_rig
 from calib.simulate.scene import (
     IntrinsicViews,

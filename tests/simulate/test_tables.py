@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.errors import UsageError
+from calib.core.errors import UsageError
 from calib.geometry.camera import project
 from calib.geometry.parameters import MODELS
 from calib.geometry.plane import OBSERVABLE, depth

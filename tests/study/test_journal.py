@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from calib.errors import UsageError
+from calib.core.errors import UsageError
 from calib.study.journal import open_journal
 
 

@@ -14,9 +14,9 @@ import distributed
 import numpy as np
 import pytest
 
-from calib.errors import UsageError
+from calib.cli.study import add_arguments, run
+from calib.core.errors import UsageError
 from calib.study.advice import run_advice
-from calib.study.command import add_arguments, run
 from calib.study.conditions import CONDITIONS
 from calib.study.depths import ModelDepths, depth_record
 from calib.study.rigs import BEYOND, INSIDE, set_up
@@ -65,7 +65,7 @@ def test_conditions_differ_in_nothing_but_what_they_say() -> None:
 def test_bound_is_that_of_the_paper_s_two_unknowns() -> None:
     """Property: against the bound from a numerical derivative of the residual by parameters."""
     from calib.fit.noise import row_noise
-    from calib.geometry.closure import closure
+    from calib.geometry.misclosure import closure
     from calib.geometry.parameters import MODELS
 
     bench = set_up(CONDITIONS["base-14"], seed=1, number=0)

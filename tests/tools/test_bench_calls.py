@@ -10,7 +10,7 @@ from pathlib import Path
 import cv2
 import pytest
 
-import calib.store
+import calib.stages.store
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "tools"))
 
@@ -68,4 +68,4 @@ def test_calls_are_added_up() -> None:
 def test_calls_are_of_one_process() -> None:
     """What workers spend would be found in no call."""
     with bench_calls._metered(bench_calls._Meter()):
-        assert calib.store.processors() == 1
+        assert calib.stages.store.processors() == 1

@@ -11,9 +11,9 @@ from calib.fit.posterior import laplace, posterior_of
 from calib.fit.priors import Priors
 from calib.fit.robust import RobustFit
 from calib.geometry.plane import OBSERVABLE
-from calib.instrument import CalibratedInstrument, instrument_from_draws
-from calib.observations import Observations, depth_groups
-from calib.observe import RowSettings, Setup
+from calib.instrument.calibrated import CalibratedInstrument, instrument_from_draws
+from calib.rows.from_table import RowSettings, Setup
+from calib.rows.observations import Observations, depth_groups
 from calib.simulate.rig import Rig, draw_rig
 from calib.simulate.tables import draw_targets, observe
 
@@ -63,7 +63,7 @@ def bench(
 
 
 def stated(rows: Observations, u_group: float) -> Observations:
-    """Return rows that say of their poses what `calib.observe` would make of `u_z_group_rel`."""
+    """Return rows that say of their poses what `rows.from_table` would make of `u_z_group_rel`."""
     u = u_group * rows.z_mm
     std = rows.std.copy()
     std[:, OBSERVABLE.z] = np.hypot(std[:, OBSERVABLE.z], u)

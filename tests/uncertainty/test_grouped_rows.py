@@ -17,8 +17,8 @@ from calib.fit.priors import Priors
 from calib.fit.robust import fit_model
 from calib.geometry.parameters import MODELS
 from calib.geometry.plane import OBSERVABLE
-from calib.instrument import CalibratedInstrument
-from calib.observations import GROUP_SOURCE, Observations
+from calib.instrument.calibrated import CalibratedInstrument
+from calib.rows.observations import GROUP_SOURCE, Observations
 from calib.uncertainty.measurement import Reading
 from calib.uncertainty.model import MeasurementModel
 from calib.uncertainty.predictive import depth_draws, depth_sources, linear_positions

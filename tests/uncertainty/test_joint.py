@@ -10,7 +10,7 @@ import known_case
 import numpy as np
 import pytest
 
-from calib.errors import EstimationError
+from calib.core.errors import EstimationError
 from calib.geometry.parameters import INDEX
 from calib.uncertainty import lengths
 from calib.uncertainty.depth import (

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from calib.errors import EstimationError
+from calib.core.errors import EstimationError
 from calib.uncertainty.depth import depth_uncertainty
 from calib.uncertainty.distributions import (
     PARTS,

@@ -15,9 +15,9 @@ from calib.fit.posterior import laplace, posterior_of
 from calib.fit.priors import Priors
 from calib.fit.robust import RobustFit, fit_model
 from calib.geometry.plane import OBSERVABLE, depth
-from calib.instrument import CalibratedInstrument, instrument_from_draws
-from calib.observations import Observations
-from calib.observe import RowSettings, Setup
+from calib.instrument.calibrated import CalibratedInstrument, instrument_from_draws
+from calib.rows.from_table import RowSettings, Setup
+from calib.rows.observations import Observations
 from calib.simulate.rig import Noise, Rig, draw_rig
 from calib.simulate.tables import draw_targets, observe
 from calib.uncertainty.measurement import (

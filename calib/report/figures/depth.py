@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.axes import Axes
 
-from calib.arrays import FloatArray
-from calib.instrument import DepthTable
+from calib.core.arrays import FloatArray
+from calib.instrument.calibrated import DepthTable
 from calib.report.plotting import (
     BLUE,
     GREY,

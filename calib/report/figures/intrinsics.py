@@ -9,9 +9,9 @@ from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
 from matplotlib.ticker import MaxNLocator
 
-from calib.arrays import BoolArray, FloatArray
-from calib.images.intrinsics import Intrinsics
-from calib.images.intrinsics_maps import LensDifference
+from calib.core.arrays import BoolArray, FloatArray
+from calib.images.intrinsics.calibrate import Intrinsics
+from calib.images.intrinsics.maps import LensDifference
 from calib.report.figures.maps import draw_arrows, draw_field, draw_map, imager, map_figure
 from calib.report.plotting import (
     BLACK,

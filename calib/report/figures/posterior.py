@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.axis import Axis
 from matplotlib.ticker import MaxNLocator, ScalarFormatter
 
-from calib.arrays import FloatArray
+from calib.core.arrays import FloatArray
 from calib.fit.posterior import Posterior
 from calib.report.numbers import factor, plain_symbol, plus_minus, unit
 from calib.report.plotting import (

@@ -8,7 +8,6 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from calib.fit.robust import RobustFit
-from calib.observations import Observations
 from calib.report.plotting import (
     BLACK,
     GREY,
@@ -22,6 +21,7 @@ from calib.report.plotting import (
     look,
     new_figure,
 )
+from calib.rows.observations import Observations
 
 RESIDUAL = "residual / mrad"
 

@@ -9,9 +9,8 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Arc, Polygon
 from matplotlib.transforms import Affine2D
 
-from calib.arrays import FloatArray
+from calib.core.arrays import FloatArray
 from calib.geometry.parameters import INDEX
-from calib.observations import Observations
 from calib.report.numbers import plain_symbol, signed
 from calib.report.plotting import (
     BLACK,
@@ -26,6 +25,7 @@ from calib.report.plotting import (
     new_figure,
     thinned,
 )
+from calib.rows.observations import Observations
 
 SKETCH_AXIS = (1.45, 0.55)
 """X, and |Z|, of the yaw axis in the sketch."""

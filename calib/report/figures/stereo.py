@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.images.stereo import StereoReference
+from calib.images.stereo.reference import StereoReference
 from calib.report.plotting import (
     BLACK,
     BLUE,

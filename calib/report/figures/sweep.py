@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.arrays import FloatArray
-from calib.images.sweep import SweepResult
+from calib.core.arrays import FloatArray
+from calib.images.sweep.yaw_axis import SweepResult
 from calib.report.plotting import (
     BLACK,
     BLUE,

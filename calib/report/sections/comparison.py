@@ -12,7 +12,7 @@ from calib.geometry.parameters import MODELS
 from calib.report.blocks import EMPTY, Block, Cell, Items, Paragraph, Section, number, table, words
 from calib.report.context import ReportContext
 from calib.report.numbers import decimals, percent, signed
-from calib.results import Calibration
+from calib.results.calibration import Calibration
 from calib.uncertainty.format import fixed
 
 HEADS = (

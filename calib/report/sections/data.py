@@ -8,7 +8,6 @@ import numpy as np
 from markupsafe import Markup
 
 from calib.geometry.plane import OBSERVABLE
-from calib.observations import Observations
 from calib.report.blocks import (
     EMPTY,
     Block,
@@ -26,7 +25,8 @@ from calib.report.figures.setup import draw_setup
 from calib.report.numbers import decimals, digits, estimate, places
 from calib.report.plotting import picture
 from calib.report.sections.pick import chosen_fit, contrasted, shown_rows
-from calib.results import Calibration, GazeResult
+from calib.results.calibration import Calibration, GazeResult
+from calib.rows.observations import Observations
 
 
 def data(c: Calibration, context: ReportContext) -> Section:

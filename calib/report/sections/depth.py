@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 from markupsafe import Markup
 
-from calib.instrument import CalibratedInstrument, DepthTable
-from calib.observations import GROUP_SOURCE
+from calib.instrument.calibrated import CalibratedInstrument, DepthTable
 from calib.report.blocks import Block, Cell, Paragraph, Section, Table, table, words
 from calib.report.context import ReportContext
 from calib.report.figures.depth import draw_depth_uncertainty
 from calib.report.numbers import bounds, decimals, digits, percent, places
 from calib.report.plotting import picture
-from calib.results import Calibration
+from calib.results.calibration import Calibration
+from calib.rows.observations import GROUP_SOURCE
 
 SHOWN_DEPTHS = 5
 """Depths of the table of sources."""

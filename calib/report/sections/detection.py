@@ -7,9 +7,9 @@ from collections import Counter
 import cv2
 import numpy as np
 
-from calib.images.detect_grid import seen
-from calib.images.stages import ContactSheet
-from calib.images.types import Corners
+from calib.geometry.board import Corners
+from calib.images.contact_sheet import ContactSheet
+from calib.images.detection.grid import seen
 from calib.report.blocks import (
     Block,
     Cell,
@@ -23,7 +23,7 @@ from calib.report.blocks import (
 )
 from calib.report.context import ReportContext
 from calib.report.plotting import data_uri
-from calib.results import Calibration
+from calib.results.calibration import Calibration
 
 QUALITY = 80
 """Of the thumbnails' JPEG: corners stay visible, a picture takes some 8 kB."""

@@ -24,7 +24,7 @@ from calib.report.figures.identifiability import draw_identifiability
 from calib.report.numbers import digits, factor, percent, signed, symbol, unit
 from calib.report.plotting import picture
 from calib.report.sections.pick import selected
-from calib.results import Calibration
+from calib.results.calibration import Calibration
 from calib.uncertainty.format import significant
 
 DECIDED_BY = {"rows": "the rows", "sweep": "the sweep", "prior": "the prior"}

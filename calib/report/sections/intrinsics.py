@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.arrays import FloatArray
-from calib.images.intrinsics import Intrinsics
-from calib.images.intrinsics_maps import fit_name
-from calib.images.sightings import pick
-from calib.images.types import LensFit
+from calib.core.arrays import FloatArray
+from calib.geometry.board import LensFit
+from calib.images.intrinsics.calibrate import Intrinsics
+from calib.images.intrinsics.maps import fit_name
 from calib.report.blocks import (
     EMPTY,
     Block,
@@ -31,7 +30,7 @@ from calib.report.figures.intrinsics import (
 )
 from calib.report.numbers import decimals, digits, estimate, signed
 from calib.report.plotting import picture
-from calib.results import Calibration
+from calib.results.calibration import Calibration
 from calib.uncertainty.format import fixed, significant
 
 DIFFERENCES_DRAWN = 2
@@ -51,7 +50,7 @@ def intrinsics(c: Calibration, _: ReportContext) -> Section | None:
         )
     ]
     for name, found in sorted(c.images.intrinsics.items()):
-        blocks += _camera(found, pick(c.images.corners[name], found.images).pixels)
+        blocks += _camera(found, c.images.corners[name].select(found.images).pixels)
     return Section("intrinsics", "Intrinsics", tuple(blocks))
 
 

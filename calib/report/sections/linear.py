@@ -21,7 +21,7 @@ from calib.report.numbers import (
     unit,
 )
 from calib.report.sections.pick import chosen_fit
-from calib.results import Calibration, GazeResult
+from calib.results.calibration import Calibration, GazeResult
 from calib.uncertainty.format import fixed, significant
 
 

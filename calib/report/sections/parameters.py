@@ -7,7 +7,6 @@ from collections.abc import Collection, Sequence
 import numpy as np
 from markupsafe import Markup
 
-from calib.certificate.wording import MODELS
 from calib.fit.posterior import Posterior
 from calib.fit.priors import NOISE_SCALE, NOISE_SCALE_PRIOR
 from calib.fit.robust import RobustFit
@@ -39,8 +38,9 @@ from calib.report.numbers import (
 from calib.report.plotting import picture
 from calib.report.sections.identifiability import decided_cell
 from calib.report.sections.pick import selected
-from calib.results import Calibration, GazeResult
-from calib.results_fits import effective_baseline
+from calib.results.calibration import Calibration, GazeResult
+from calib.results.fits_document import effective_baseline
+from calib.results.wording import MODELS
 
 
 def parameters(c: Calibration, context: ReportContext) -> Section | None:

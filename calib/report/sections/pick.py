@@ -7,7 +7,7 @@ import numpy as np
 from calib.fit.robust import RobustFit
 from calib.geometry.plane import OBSERVABLE
 from calib.report.plotting import thinned
-from calib.results import GazeResult
+from calib.results.calibration import GazeResult
 
 TABLE_ROWS = 200
 """Rows of a table; more make the page slow and nobody reads them."""

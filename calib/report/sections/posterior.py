@@ -13,7 +13,7 @@ from calib.report.figures.posterior import draw_corner
 from calib.report.numbers import bounds, decimals, estimate, factor, signed, symbol, unit
 from calib.report.plotting import picture
 from calib.report.sections.pick import selected
-from calib.results import Calibration
+from calib.results.calibration import Calibration
 from calib.uncertainty.format import fixed
 
 

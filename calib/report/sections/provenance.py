@@ -5,7 +5,7 @@ from __future__ import annotations
 from calib.report.blocks import Block, Command, Facts, Paragraph, Section, Text, table, words
 from calib.report.context import ReportContext
 from calib.report.numbers import decimals
-from calib.results import Calibration
+from calib.results.calibration import Calibration
 
 
 def provenance(c: Calibration, context: ReportContext) -> Section:

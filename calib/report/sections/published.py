@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from calib.geometry.camera import intrinsic_names, intrinsic_vector
-from calib.images.poses import invert_pose
+from calib.geometry.poses import invert_pose
 from calib.images.result import ImageResult
 from calib.report.blocks import EMPTY, Cell, Paragraph, Section, number, table, words
 from calib.report.context import ReportContext
 from calib.report.numbers import estimate
-from calib.results import Calibration
+from calib.results.calibration import Calibration
 
 
 def published(c: Calibration, context: ReportContext) -> Section | None:

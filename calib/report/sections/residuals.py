@@ -16,7 +16,7 @@ from calib.report.figures.residuals import (
 from calib.report.numbers import decimals, digits, plus_minus
 from calib.report.plotting import picture
 from calib.report.sections.pick import chosen_fit, contrasted, reading_mrad
-from calib.results import Calibration, GazeResult
+from calib.results.calibration import Calibration, GazeResult
 from calib.uncertainty.format import significant
 
 

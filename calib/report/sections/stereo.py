@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from markupsafe import Markup
 
-from calib.arrays import FloatArray
-from calib.images.poses import invert_pose
-from calib.images.stereo import StereoReference
+from calib.core.arrays import FloatArray
+from calib.geometry.poses import invert_pose
+from calib.images.stereo.reference import StereoReference
 from calib.report.blocks import (
     EMPTY,
     Block,
@@ -28,7 +28,7 @@ from calib.report.figures.stereo import draw_pairs, draw_targets
 from calib.report.numbers import decimals, digits, estimate, plus_minus
 from calib.report.plotting import picture
 from calib.report.sections.pick import shown_rows
-from calib.results import Calibration
+from calib.results.calibration import Calibration
 
 
 def stereo(c: Calibration, _: ReportContext) -> Section | None:

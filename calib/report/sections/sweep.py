@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from markupsafe import Markup
 
-from calib.images.sweep import SweepResult
+from calib.images.sweep.yaw_axis import SweepResult
 from calib.report.blocks import Block, Facts, Paragraph, Section, Table, facts, table, words
 from calib.report.context import ReportContext
 from calib.report.figures.sweep import draw_axis, draw_sweep
@@ -20,7 +20,7 @@ from calib.report.numbers import (
     unit,
 )
 from calib.report.plotting import picture
-from calib.results import Calibration
+from calib.results.calibration import Calibration
 from calib.uncertainty.format import fixed
 
 

@@ -7,17 +7,17 @@ from collections.abc import Mapping
 import numpy as np
 from markupsafe import Markup
 
-from calib.arrays import FloatArray
-from calib.certificate.inputs import Evidence
-from calib.certificate.wording import LENGTHS_NOTE
-from calib.instrument import ValidationResult, normalised_error, spread_by_group
+from calib.core.arrays import FloatArray
+from calib.instrument.calibrated import ValidationResult, normalised_error, spread_by_group
 from calib.report.blocks import Block, Cell, Paragraph, Section, Table, Text, number, table, words
 from calib.report.context import ReportContext
 from calib.report.figures.validation import draw_agreement, draw_consistency
 from calib.report.numbers import bounds, decimals, digits, estimate, percent, places, signed
 from calib.report.plotting import picture
 from calib.report.sections.pick import contrasted, shown_rows
-from calib.results import Calibration
+from calib.results.calibration import Calibration
+from calib.results.wording import LENGTHS_NOTE
+from calib.uncertainty.evidence import Evidence
 from calib.uncertainty.format import significant
 from calib.uncertainty.lengths import LengthError
 

@@ -6,7 +6,7 @@ import numpy as np
 from markupsafe import Markup
 
 from calib.images.result import ImageResult
-from calib.instrument import CalibratedInstrument
+from calib.instrument.calibrated import CalibratedInstrument
 from calib.report.blocks import (
     Block,
     Command,
@@ -22,8 +22,8 @@ from calib.report.blocks import (
 from calib.report.context import ReportContext
 from calib.report.numbers import EFFECTIVE, factor, plus_minus, signed, symbol, unit
 from calib.report.sections.pick import chosen_fit
-from calib.results import Calibration, GazeResult
-from calib.results_fits import effective_baseline
+from calib.results.calibration import Calibration, GazeResult
+from calib.results.fits_document import effective_baseline
 from calib.uncertainty.format import significant
 
 

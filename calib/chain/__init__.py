@@ -1,0 +1,1 @@
+"""The chain of a calibration: stages in their order, then the outputs."""

@@ -1,0 +1,255 @@
+"""The whole chain: stages in their order, then the outputs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from calib.chain.images import ImageStages, image_stages, sightings
+from calib.chain.outputs import write_outputs
+from calib.chain.rows import gaze_rows, setup_stage
+from calib.checks.stereo_pose import told_by_pairs
+from calib.checks.verdict import all_gates, all_warnings, disagreements
+from calib.dataset.contents import Dataset
+from calib.dataset.tables import LengthTable
+from calib.fit.posterior import Posterior
+from calib.fit.priors import Priors
+from calib.fit.robust import RobustFit
+from calib.geometry.parameters import MODELS
+from calib.results.calibration import Calibration, GazeResult
+from calib.results.manifest import run_fingerprint
+from calib.rows.from_table import ValidationRows, row_settings, validation_settings
+from calib.rows.observations import Observations
+from calib.rows.repeated_readings import repeats_told
+from calib.stages.store import Staged, Step, Store, given
+
+
+@dataclass(frozen=True)
+class Options:
+    """What the user may choose of a run.
+
+    Parameters
+    ----------
+    seed
+        Of all random numbers.
+    depths_mm
+        Least and greatest depth of the uncertainty table; None for those of the rows.
+    """
+
+    seed: int = 0
+    depths_mm: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True)
+class Run:
+    """What a run has done: the result, the stages that ran and were reused, the files."""
+
+    calibration: Calibration
+    stages_run: tuple[str, ...]
+    stages_reused: tuple[str, ...]
+    written: tuple[Path, ...]
+
+
+def calibrate(
+    dataset: Dataset,
+    out: Path,
+    options: Options,
+    *,
+    announce: Callable[[str], None],
+    progress: Callable[[str, int, int], None],
+    command: str,
+) -> Run:
+    """Run the chain on a dataset; results go to `out`.
+
+    Raises
+    ------
+    InputError, UsageError
+        If images of the dataset or the folder cannot be used.
+    """
+    fingerprint = run_fingerprint(dataset.sha256, vars(options))
+    store = Store(out, announce, progress)
+    with store.locked():
+        images = image_stages(dataset, store, options.seed)
+        failures = images.failures()
+        gaze = None
+        if dataset.gaze is not None:
+            rows = gaze_rows(dataset, dataset.gaze, store, images)
+            if rows.failed is not None:
+                failures["gaze rows"] = rows.failed
+            else:
+                gaze = _gaze_chain(dataset, options, store, images, rows)
+        result = images.result()
+        calibration = Calibration(
+            name=dataset.manifest.name,
+            title=dataset.manifest.title,
+            sha256=dataset.sha256,
+            seed=options.seed,
+            cameras=dataset.cameras,
+            images=result,
+            gaze=gaze,
+            gates=all_gates(result, gaze, failures),
+            warnings=(
+                *dataset.warnings,
+                *_combined(dataset, gaze),
+                *all_warnings(result, gaze),
+                *told_by_pairs(dataset, result.stereo, gaze),
+            ),
+            disagreements=() if gaze is None else disagreements(gaze),
+        )
+        written = write_outputs(
+            calibration, dataset, store, fingerprint=fingerprint, command=command
+        )
+    return Run(calibration, tuple(store.durations), tuple(store.reused), written)
+
+
+def _combined(dataset: Dataset, gaze: GazeResult | None) -> tuple[str, ...]:
+    """Return a warning if gazes were repeated."""
+    if dataset.gaze is None or gaze is None:
+        return ()
+    told = repeats_told(dataset.gaze, gaze.rows)
+    return () if told is None else (told,)
+
+
+def _gaze_chain(
+    dataset: Dataset,
+    options: Options,
+    store: Store,
+    images: ImageStages,
+    rows: Staged[Observations],
+) -> GazeResult:
+    """From gaze rows to the calibrated instrument and what it measures."""
+    stage = store.stage
+    stated = {name: (prior.mean, prior.std) for name, prior in dataset.manifest.priors.items()}
+    priors = given("priors", Priors(stated, images.measured()))
+    # fmt: off
+    sense = stage("sense", "calib.checks.encoder_direction:check_sense", rows)
+    linear = stage("base/linear", "calib.fit.linear:fit_linear", rows)
+    convex = stage("base/convex", "calib.fit.convex:fit_convex", rows)
+    robust = {model: stage(f"{model}/robust", "calib.fit.robust:fit_model",
+                           rows, priors, model=model) for model in MODELS}
+    # fmt: on
+    posterior = store.side_by_side(
+        {
+            model: Step(
+                f"{model}/posterior",
+                "calib.fit.posterior:sample_posterior",
+                (rows, fit, priors),
+                {"seed": options.seed},
+            )
+            for model, fit in robust.items()
+            if fit.failed is None
+        }
+    )
+    every = {"base/linear": linear, "base/convex": convex}
+    every |= {f"{name}/robust": fit for name, fit in robust.items()}
+    every |= {f"{name}/posterior": chain for name, chain in posterior.items()}
+    result = GazeResult(
+        rows=rows.value,
+        sense=sense.value,
+        linear=linear.get(),
+        convex=convex.get(),
+        robust={name: robust[name].value for name, p in posterior.items() if p.failed is None},
+        posterior={name: p.value for name, p in posterior.items() if p.failed is None},
+        refused={name: s.failed for name, s in every.items() if s.failed is not None},
+    )
+    if not result.posterior:
+        return result
+    fits = {name: robust[name] for name in result.posterior}
+    told = {name: stage(f"{name}/identifiability", "calib.fit.identifiability:identifiability",
+                        rows, fit, priors) for name, fit in fits.items()}  # fmt: skip
+    result = replace(result, identifiability={name: s.value for name, s in told.items()})
+    chains = {name: posterior[name] for name in result.posterior}
+    fitted = _Fitted(rows, priors, fits, chains)
+    return _measure(dataset, options, store, images, fitted, result)
+
+
+@dataclass(frozen=True)
+class _Fitted:
+    """Rows and fits as inputs of stages; the models in both mappings are the same."""
+
+    rows: Staged[Observations]
+    priors: Staged[Priors]
+    robust: Mapping[str, Staged[RobustFit]]
+    posterior: Mapping[str, Staged[Posterior]]
+
+
+def _measure(
+    dataset: Dataset,
+    options: Options,
+    store: Store,
+    images: ImageStages,
+    fitted: _Fitted,
+    result: GazeResult,
+) -> GazeResult:
+    """Select a model and find what the instrument then measures."""
+    stage, seed, rows, priors = store.stage, options.seed, fitted.rows, fitted.priors
+    validation = _validation(dataset, store, images)
+    references = rows.value.z_mm
+    if validation is not None:
+        references = np.append(references, validation.value.rows.z_mm)
+    low, high = options.depths_mm or (float(references.min()), float(references.max()))
+    setup = setup_stage(store, images, "gaze", row_settings(dataset))
+    # fmt: off
+    comparison = stage("comparison", "calib.fit.compare:compare_models",
+                       rows, fitted.robust, fitted.posterior, priors, validation, seed=seed)
+    selected = comparison.value.selected
+    groups = stage("groups", "calib.fit.group_check:check_groups", rows, fitted.robust[selected])
+    calibrated = stage("instrument", "calib.instrument.calibrated:build_instrument",
+                       fitted.posterior[selected], fitted.robust[selected], rows, setup)
+    depths = stage("depths", "calib.instrument.calibrated:tabulate_depths",
+                   calibrated, low_mm=low, high_mm=high, seed=seed)
+    average = stage("average", "calib.instrument.averaging:build_average",
+                    fitted.posterior, fitted.robust, comparison, rows, setup, calibrated, depths,
+                    seed=seed)
+    measured = None
+    if validation is not None:
+        measured = stage("validation", "calib.instrument.calibrated:measure_validation",
+                         calibrated, validation, fitted.robust, seed=seed)
+    evidence = stage("certified depths", "calib.instrument.evidence:gather_evidence",
+                     calibrated, rows, validation, measured, _lengths(dataset),
+                     seed=seed, **_certified(dataset))
+    # fmt: on
+    return replace(
+        result,
+        comparison=comparison.value,
+        calibrated=calibrated.value,
+        depths=depths.value,
+        average=average.value,
+        validation=None if measured is None else measured.value,
+        groups=groups.value,
+        evidence=evidence.get(),
+    )
+
+
+def _lengths(dataset: Dataset) -> Staged[LengthTable] | None:
+    return None if dataset.lengths is None else given("lengths", dataset.lengths)
+
+
+def _certified(dataset: Dataset) -> dict[str, Any]:
+    """Return what the manifest says of the certificate's depths."""
+    stated, validation = dataset.manifest.certificate, dataset.manifest.validation
+    return {
+        "check_reference": None if validation is None else validation.reference,
+        "depth_rel": None if stated.tolerance is None else stated.tolerance.depth_rel,
+        "rule": stated.decision_rule,
+    }
+
+
+def _validation(
+    dataset: Dataset, store: Store, images: ImageStages
+) -> Staged[ValidationRows] | None:
+    """Return the validation rows; None without any, or where their images give nothing."""
+    table = dataset.validation
+    if table is None:
+        return None
+    setup = setup_stage(store, images, "validation", validation_settings(dataset))
+    seen = sightings(dataset, table, store, images)
+    rows: Staged[ValidationRows] = store.stage(
+        "validation rows", "calib.rows.from_table:observe_validation",
+        given("validation", table), setup, seen,
+    )  # fmt: skip
+    return rows if rows.failed is None else None

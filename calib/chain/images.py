@@ -1,0 +1,266 @@
+"""The image half of the chain: corners, intrinsics, stereo reference, yaw sweep, sightings."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from calib.core.arrays import FloatArray
+from calib.dataset.contents import Dataset
+from calib.dataset.tables import GazeTable
+from calib.fit.priors import Measured
+from calib.geometry.board import Corners
+from calib.images.contact_sheet import ContactSheet, Pictures
+from calib.images.intrinsics.calibrate import Intrinsics
+from calib.images.result import ImageResult
+from calib.images.stages import (
+    Chosen,
+    Known,
+    KnownCamera,
+    Pairs,
+    SweepInput,
+)
+from calib.images.stereo.reference import StereoReference
+from calib.images.stereo.solve import CameraPair
+from calib.images.sweep.solve import SweepReadings
+from calib.images.sweep.yaw_axis import SweepResult
+from calib.rows.common_errors import Shared
+from calib.rows.from_images import CornerNoise
+from calib.rows.from_table import CameraSet, Sightings
+from calib.stages.store import Staged, Step, Store, given
+
+CAMERAS = ("c1", "c2")
+
+STAGES = "calib.images.stages"
+
+
+@dataclass(frozen=True)
+class ImageStages:
+    """What the images gave, as inputs of later stages; None where there are no data for it."""
+
+    corners: Mapping[str, Staged[Corners]]
+    sheets: Mapping[str, Staged[ContactSheet]]
+    intrinsics: Mapping[str, Staged[Intrinsics]]
+    stereo: Staged[StereoReference] | None
+    sweep: Staged[SweepResult] | None
+    cameras: Staged[CameraSet]
+    shared: Staged[Shared]
+
+    def failures(self) -> dict[str, str]:
+        """Return why stages gave no result, by their names."""
+        stages = [*self.intrinsics.values(), self.stereo, self.sweep]
+        return {s.name: s.failed for s in stages if s is not None and s.failed is not None}
+
+    def result(self) -> ImageResult:
+        """Return all that the images gave."""
+        return ImageResult(
+            corners={name: stage.value for name, stage in self.corners.items()},
+            sheets={name: stage.value for name, stage in self.sheets.items()},
+            intrinsics={n: s.value for n, s in self.intrinsics.items() if s.failed is None},
+            stereo=None if self.stereo is None else self.stereo.get(),
+            sweep=None if self.sweep is None else self.sweep.get(),
+        )
+
+    def measured(self) -> Measured | None:
+        """Return the sweep's knowledge of the model's parameters."""
+        result = None if self.sweep is None else self.sweep.get()
+        if result is None:
+            return None
+        return Measured(result.names, result.mean, result.covariance)
+
+
+def image_stages(dataset: Dataset, store: Store, seed: int) -> ImageStages:
+    """Run all image stages that the dataset has data for."""
+    # The path is no part of what a result depends on: the pictures' bytes are.
+    folder = Staged("folder", "", lambda: dataset.root)
+    board = None if dataset.board is None else given("board", dataset.board)
+    corners: dict[str, Staged[Corners]] = {}
+    sheets: dict[str, Staged[ContactSheet]] = {}
+    for camera in CAMERAS:
+        pictures = _pictures(dataset, camera)
+        if pictures is None or board is None:
+            continue
+        known = {n: c for n, c in dataset.corner_cache.items() if n in pictures.names}
+        asked = given(f"pictures {camera}", pictures)
+        corners[camera] = store.stage(
+            f"corners {camera}", f"{STAGES}:find_corners",
+            folder, asked, board, given("known corners", Known(known)), detector=_detector(dataset),
+        )  # fmt: skip
+        sheets[camera] = store.stage(
+            f"contact sheet {camera}",
+            "calib.images.contact_sheet:contact_sheet",
+            folder,
+            asked,
+            corners[camera],
+        )
+    intrinsics = store.side_by_side(
+        {
+            camera: Step(
+                f"intrinsics {camera}",
+                f"{STAGES}:intrinsics",
+                (corners[camera], given("views", Chosen(images)), board),
+                {"camera": camera, "seed": seed},
+            )
+            for camera, images in dataset.images.items()
+        }
+    )
+    rig = _rig(dataset, store, intrinsics)
+    stereo = _stereo(dataset, store, corners, board, rig, seed)
+    sweep = _sweep(dataset, store, corners, board, intrinsics, stereo)
+    shared = given("shared errors", Shared())
+    if rig is not None:
+        good = stereo if stereo is not None and stereo.failed is None else None
+        shared = store.stage("shared errors", "calib.rows.from_images:shared_errors", rig, good)
+    return ImageStages(
+        corners=corners,
+        sheets=sheets,
+        intrinsics=intrinsics,
+        stereo=stereo,
+        sweep=sweep,
+        cameras=given("cameras", _camera_set(dataset, intrinsics)),
+        shared=shared,
+    )
+
+
+def sightings(
+    dataset: Dataset, table: GazeTable, store: Store, images: ImageStages
+) -> Staged[Sightings] | None:
+    """Return what the images say of a table's rows; None if it names none."""
+    named = [n for n in (*table.image_c1, *table.image_c2, *table.stereo) if n is not None]
+    if not named or dataset.board is None:
+        return None
+    noise = {name: stage.get() for name, stage in images.intrinsics.items()}
+    fits = {name: fit.selected for name, fit in noise.items() if fit is not None}
+    rms = {f"{name}_px": fit.rms_px for name, fit in fits.items()}
+    warps = [fit.board_warp_mm for fit in fits.values() if fit.board_warp_mm is not None]
+    return store.stage(
+        f"sightings {table.file}", "calib.rows.from_images:sight",
+        given("table", table), given("board", dataset.board),
+        images.corners.get("c1"), images.corners.get("c2"), images.stereo, images.shared,
+        given("corner noise", CornerNoise(**rms, warp_mm=warps[0] if warps else None)),
+        images.cameras,
+    )  # fmt: skip
+
+
+def _pictures(dataset: Dataset, camera: str) -> Pictures | None:
+    """Return all images of a camera, each once; None if it has none."""
+    names = tuple(dict.fromkeys(_named(dataset, camera)))
+    if not names:
+        return None
+    stated = dataset.manifest.camera(camera)
+    size = None if stated is None else stated.image_size
+    if size is None and camera in dataset.cameras:
+        size = dataset.cameras[camera].image_size
+    hashes = tuple(
+        "" if name in dataset.corner_cache else _hash(dataset.root / name) for name in names
+    )
+    return Pictures(camera, names, hashes, size)
+
+
+def _detector(dataset: Dataset) -> str:
+    board = dataset.manifest.board
+    return "cascade" if board is None else board.detector
+
+
+def _named(dataset: Dataset, camera: str) -> Iterator[str]:
+    """Yield the images of a camera that any part of the dataset names."""
+    which = CAMERAS.index(camera)
+    yield from dataset.images.get(camera, ())
+    yield from (pair[which] for pair in dataset.stereo_pairs.values())
+    for table in dataset.rows:
+        column = (table.image_c1, table.image_c2)[which]
+        yield from (name for name in column if name is not None)
+    if camera == "c2" and dataset.sweep is not None:
+        yield from dataset.sweep.image_c2
+
+
+def _hash(path: Path) -> str:
+    return sha256(path.read_bytes()).hexdigest()
+
+
+def _known_camera(
+    dataset: Dataset, intrinsics: Mapping[str, Staged[Intrinsics]], name: str
+) -> Staged[Any] | None:
+    """Return a camera's stage if it has a result, else the camera given, else None."""
+    if name in intrinsics:
+        return intrinsics[name] if intrinsics[name].failed is None else None
+    camera = dataset.cameras.get(name)
+    if camera is None:
+        return None
+    count = 4 + len(camera.distortion)
+    return given(f"camera {name}", KnownCamera(camera, np.zeros((count, count))))
+
+
+def _camera_set(dataset: Dataset, intrinsics: Mapping[str, Staged[Intrinsics]]) -> CameraSet:
+    stages = [_known_camera(dataset, intrinsics, name) for name in CAMERAS]
+    c1, c2 = (None if stage is None else stage.value.camera for stage in stages)
+    return CameraSet(c1, c2)
+
+
+def _rig(
+    dataset: Dataset, store: Store, intrinsics: Mapping[str, Staged[Intrinsics]]
+) -> Staged[CameraPair] | None:
+    """Return both cameras, if both are known and pictures are taken with them."""
+    c1, c2 = (_known_camera(dataset, intrinsics, name) for name in CAMERAS)
+    if c1 is None or c2 is None or dataset.board is None:
+        return None
+    return store.stage("camera pair", f"{STAGES}:camera_pair", c1, c2)
+
+
+def _stereo(
+    dataset: Dataset,
+    store: Store,
+    corners: Mapping[str, Staged[Corners]],
+    board: Staged[Any] | None,
+    rig: Staged[CameraPair] | None,
+    seed: int,
+) -> Staged[StereoReference] | None:
+    stated = dataset.manifest.stereo
+    if stated is None or rig is None or not dataset.stereo_pairs:
+        return None
+    stems = tuple(dataset.stereo_pairs)
+    pairs = Pairs(
+        stems=stems,
+        images_c1=tuple(dataset.stereo_pairs[s][0] for s in stems),
+        images_c2=tuple(dataset.stereo_pairs[s][1] for s in stems),
+        transform_12=None if stated.transform is None else _matrix(stated.transform),
+    )
+    return store.stage(
+        "stereo", f"{STAGES}:stereo",
+        corners["c1"], corners["c2"], given("pairs", pairs), board, rig, seed=seed,
+    )  # fmt: skip
+
+
+def _matrix(rows: Any) -> FloatArray:
+    return np.array(rows, dtype=np.float64)
+
+
+def _sweep(
+    dataset: Dataset,
+    store: Store,
+    corners: Mapping[str, Staged[Corners]],
+    board: Staged[Any] | None,
+    intrinsics: Mapping[str, Staged[Intrinsics]],
+    stereo: Staged[StereoReference] | None,
+) -> Staged[SweepResult] | None:
+    table, encoder = dataset.sweep, dataset.manifest.encoder
+    c2 = _known_camera(dataset, intrinsics, "c2")
+    if table is None or encoder is None or c2 is None:
+        return None
+    readings = SweepReadings(
+        alpha2_rad=np.array(table.alpha2_rad),
+        placements=table.placements,
+        resolution_rad=float(np.deg2rad(encoder.resolution_deg)),
+        u_alpha2_rad=float(np.deg2rad(encoder.u_alpha2_deg)),
+    )
+    priors = {name: (prior.mean, prior.std) for name, prior in dataset.manifest.priors.items()}
+    asked = SweepInput(table.image_c2, readings, priors)
+    good = stereo if stereo is not None and stereo.failed is None else None
+    return store.stage(
+        "sweep", f"{STAGES}:sweep", corners["c2"], given("sweep", asked), board, c2, good
+    )

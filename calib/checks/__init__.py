@@ -1,0 +1,1 @@
+"""Gates and warnings: what must hold before a result may be used."""

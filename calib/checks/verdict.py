@@ -1,0 +1,357 @@
+"""Gates and warnings: whether a result may be used, and what its reader should know."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from calib.core.arrays import FloatArray
+from calib.core.gate import Gate
+from calib.fit.group_check import GroupCheck
+from calib.fit.identifiability import Identifiability
+from calib.fit.posterior import ESS_GOAL, R_HAT_LIMIT, Posterior
+from calib.fit.priors import NOISE_SCALE
+from calib.geometry.parameters import INDEX, PARAMETERS
+from calib.geometry.plane import OBSERVABLE
+from calib.images.result import ImageResult
+from calib.instrument.averaging import doubt_of
+from calib.instrument.calibrated import CalibratedInstrument, DepthTable, normalised_error
+from calib.results.calibration import GazeResult
+from calib.rows.observations import Observations
+
+NOISE_SCALE_LIMIT = 5.0
+"""Residuals five times what the manifest states: no honest estimate is that far off; either a
+statement, a row or the model is wrong."""
+
+NOISE_SCALE_REMARK = 2.0
+"""Also the limit where the rows are too few for any model but the smallest: nothing then tells
+uncertainties stated too small from an axis that stands off."""
+
+ZERO_ERROR_REMARK_RAD = float(np.deg2rad(5.0))
+"""An axis set by eye is right to a degree or two. Readings in gon look like a zero error of 9."""
+
+MISSED_SHARE = 0.1
+"""Share of validation depths outside their 95 % intervals that chance explains often enough."""
+
+GAZE_RESIDUAL_REMARK_RAD = float(np.deg2rad(0.5))
+"""Half a degree off C2's centre column; a motor's count leaves a tenth."""
+
+CENTRE_AHEAD_MM = 30.0
+"""How far C2's centre stands before its yaw axis is no parameter. The residual counts as a turn
+about the axis, where it is an angle at C2's centre: at depth z it is too large by this over z."""
+
+CENTRE_AHEAD_SIGMAS = 3.0
+"""Standard deviations of a row's own noise, as an angle, that such an error may have unremarked."""
+
+DEPTH_LIMIT_REL = 0.2
+"""Relative standard uncertainty, in the middle of the calibrated depths, above which nothing has
+been calibrated that a look would not tell."""
+
+NAMED = 10
+"""Outliers that a text names; calibration.json has all."""
+
+SCALE_ROWS, SCALE_RATIO = 6, 5.0
+"""Validation rows that tell, and how far their median difference stands from 0 in median deviations
+from it: six normal errors about 0 do so by chance in 1 of 100 cases."""
+
+PAIRS_NOISE_RATIO, PAIRS_NOISE_PX = 5.0, 0.25
+"""Of the residuals of pairs over those of the boards for the lenses, and what needs no excuse.
+Small squares far off double or treble the noise; a C2 bumped by 0.3 degrees half-way through leaves
+0.8 px, as the boards' own poses take up most of it, and turns 1T2 by half of that."""
+
+OUTLIER_SHARE_LIMIT = 1 / 6
+"""Above it the noise scale itself may be an outlier's: see `calib.fit.noise`."""
+
+
+def all_gates(
+    images: ImageResult, gaze: GazeResult | None, failures: Mapping[str, str]
+) -> tuple[Gate, ...]:
+    """Return the gates of a whole run.
+
+    Parameters
+    ----------
+    failures
+        Why stages that should have had a result have none, by their names.
+    """
+    gates = [Gate(name, passed=False, detail=reason) for name, reason in failures.items()]
+    for intrinsics in images.intrinsics.values():
+        gates += intrinsics.gates
+    if images.stereo is not None:
+        lenses = tuple(i.selected.rms_px for i in images.intrinsics.values())
+        gates += [*images.stereo.gates, *_pairs_noise(images.stereo.rms_px, lenses)]
+    gates += images.sweep.gates if images.sweep is not None else ()
+    gates += gaze_gates(gaze) if gaze is not None else ()
+    return tuple(gates)
+
+
+def _pairs_noise(pairs_px: float, lenses_px: tuple[float, ...]) -> list[Gate]:
+    """Return a gate on how well pairs fit one pose of C2, beside how well boards fit the lenses.
+
+    Parameters
+    ----------
+    pairs_px
+        Root mean square of the pairs' residuals, px; NaN where 1T2 is given.
+    lenses_px
+        Of the boards of each camera whose lens was solved.
+    """
+    if not np.isfinite(pairs_px) or not lenses_px:
+        return []
+    limit = max(PAIRS_NOISE_PX, PAIRS_NOISE_RATIO * max(lenses_px))
+    passed = pairs_px <= limit
+    detail = (
+        f"the pairs fit one pose of C2 to {pairs_px:.3f} px, the boards the lenses to "
+        f"{max(lenses_px):.3f} px (limit for the pairs {limit:.2f})"
+    )
+    if not passed:
+        detail += "; was C2 moved or bumped between the pairs, or a lens between pairs and boards?"
+    return [Gate("stereo-noise", passed, detail)]
+
+
+def all_warnings(images: ImageResult, gaze: GazeResult | None) -> tuple[str, ...]:
+    """Return what the reader should know of a whole run."""
+    found = [text for intrinsics in images.intrinsics.values() for text in intrinsics.warnings]
+    return (*found, *(gaze_warnings(gaze) if gaze is not None else ()))
+
+
+def gaze_gates(gaze: GazeResult) -> tuple[Gate, ...]:
+    """Return the gates of the gaze calibration."""
+    gates = [gaze.sense, _fitted(gaze)]
+    if gaze.posterior:
+        gates += [_convergence(gaze.posterior), _agreement(gaze.posterior)]
+    if gaze.comparison is not None:
+        selected = gaze.comparison.selected
+        gates += [_residuals(gaze, selected), _outliers(gaze, selected)]
+        # Of the other models it is no fault to be undetermined: they were not selected.
+        gates.append(gaze.identifiability[selected].gate)
+    if gaze.calibrated is not None and gaze.depths is not None:
+        gates.append(_depth(gaze.calibrated, gaze.depths))
+    return tuple(gates)
+
+
+def _fitted(gaze: GazeResult) -> Gate:
+    if gaze.posterior:
+        return Gate("fit", passed=True, detail=f"fitted: {', '.join(gaze.posterior)}")
+    reasons = "; ".join(f"{name}: {reason}" for name, reason in gaze.refused.items())
+    return Gate("fit", passed=False, detail=f"no model could be fitted: {reasons}")
+
+
+def _convergence(posteriors: Mapping[str, Posterior]) -> Gate:
+    details = []
+    for name, p in posteriors.items():
+        detail = (
+            f"{name}: {p.steps} steps, {p.steps / p.tau.max():.0f} autocorrelation times, at least "
+            f"{min(p.ess_bulk.min(), p.ess_tail.min()):.0f} effective draws (wanted "
+            f"{ESS_GOAL:.0f}), R-hat at most {p.r_hat.max():.4f} (limit {R_HAT_LIMIT})"
+        )
+        if not p.converged:
+            detail += ", not converged: add rows, state tighter priors, look for outliers"
+        details.append(detail)
+    passed = all(p.converged for p in posteriors.values())
+    return Gate("convergence", passed=passed, detail="; ".join(details))
+
+
+def _agreement(posteriors: Mapping[str, Posterior]) -> Gate:
+    details = []
+    for name, p in posteriors.items():
+        detail = (
+            f"{name}: k-hat {p.k_hat:.2f}, {p.importance_ess:.0f} effective draws, means within "
+            f"{p.agreement:.2f} of what may differ"
+        )
+        if not p.agrees:
+            detail += ", not confirmed: do not use this posterior"
+        details.append(detail)
+    return Gate(
+        "agreement",
+        passed=all(p.agrees for p in posteriors.values()),
+        detail=f"importance sampling against emcee, {'; '.join(details)}",
+    )
+
+
+def _residuals(gaze: GazeResult, model: str) -> Gate:
+    scale = gaze.robust[model].noise_scale
+    detail = (
+        f"residuals of {model} are {scale:.2f} times what the stated uncertainties lead to expect"
+    )
+    alone = len(gaze.robust) == 1
+    limit = NOISE_SCALE_REMARK if alone else NOISE_SCALE_LIMIT
+    passed = scale <= limit
+    if not passed and alone:
+        detail += (
+            f" (limit {limit:g} where no other model could be fitted): add rows, which tell "
+            "whether the model or a statement in dataset.toml is wrong"
+        )
+    elif not passed:
+        detail += (
+            f" (limit {limit:g}): a statement in dataset.toml, some rows or the model "
+            "are wrong; look at the residuals in the report"
+        )
+    return Gate("residuals", passed=passed, detail=detail)
+
+
+def _outliers(gaze: GazeResult, model: str) -> Gate:
+    outliers, count = gaze.robust[model].outliers, len(gaze.rows)
+    passed = len(outliers) <= OUTLIER_SHARE_LIMIT * count
+    named = f": {', '.join(outliers[:NAMED])}" if outliers else ""
+    detail = f"{len(outliers)} of {count} rows disagree with the others{named}"
+    if not passed:
+        detail += "; too many to be chance: check these rows, units and groups"
+    return Gate("outliers", passed=passed, detail=detail)
+
+
+def _depth(calibrated: CalibratedInstrument, depths: DepthTable) -> Gate:
+    """Gate on a measured depth: parameters, shared errors and the reading's own together."""
+    low, high = calibrated.calibrated_mm
+    middle = int(np.argmin(np.abs(depths.depth_mm - (low + high) / 2)))
+    relative = float(depths.prediction.u_mm[middle] / depths.depth_mm[middle])
+    passed = relative <= DEPTH_LIMIT_REL
+    detail = f"a depth of {depths.depth_mm[middle]:.0f} mm is measured to {100 * relative:.2g} %"
+    if not passed:
+        detail += (
+            f" (limit {100 * DEPTH_LIMIT_REL:.0f} %): add targets at other depths and yaw angles, "
+            "or look for what makes a reading so uncertain (table of sources in the report)"
+        )
+    return Gate("depth", passed=passed, detail=detail)
+
+
+def gaze_warnings(gaze: GazeResult) -> tuple[str, ...]:
+    """Return what the reader should know of the gaze calibration."""
+    found = []
+    if gaze.comparison is not None:
+        model = gaze.comparison.selected
+        fit = gaze.robust[model]
+        if fit.noise_scale > NOISE_SCALE_REMARK:
+            found.append(
+                f"residuals of {model} are {fit.noise_scale:.1f} times what the manifest's "
+                f"uncertainties lead to expect; all uncertainties are widened accordingly "
+                f"({NOISE_SCALE})"
+            )
+        zero = float(fit.theta[INDEX["delta2_rad"]])
+        if abs(zero) > ZERO_ERROR_REMARK_RAD:
+            found.append(
+                f"the zero error of the encoder comes out as {np.rad2deg(zero):.1f} deg: if that "
+                "is a surprise, check unit (degrees) and origin of alpha2_deg (at 90 C2 looks "
+                "parallel to Z of C1)"
+            )
+        found += _named_outliers(gaze, model)
+        found += _left_to_priors(gaze.identifiability[model])
+        found += [
+            f"model {score.model}: left-out density of row {', '.join(score.unreliable)} is "
+            "unreliable, its importance weights have a heavy tail"
+            for score in gaze.comparison.scores
+            if score.unreliable
+        ]
+    if gaze.groups is not None and gaze.groups.together:
+        found.append(_together(gaze.groups))
+    if gaze.average is not None and gaze.depths is not None:
+        told = doubt_of(gaze.average, gaze.depths)
+        found += [] if told is None else [told]
+    found += _off_centre(gaze.rows)
+    if gaze.calibrated is not None and gaze.calibrated.measures_residual:
+        found.append(
+            "depth uncertainties are those of readings with C2's image (u2_px), as in the "
+            "calibration rows; a reading without it carries the encoder's step too, which "
+            "calib measure adds"
+        )
+    if gaze.convex is not None and not gaze.convex.optimal:
+        found.append(
+            f"base/convex is not proved optimal: duality gap {gaze.convex.duality_gap:.1e}"
+        )
+    return tuple(found)
+
+
+def _named_outliers(gaze: GazeResult, model: str) -> list[str]:
+    """Return a warning that names outliers too few for their gate: gross errors of single rows."""
+    outliers = gaze.robust[model].outliers
+    if not outliers or not _outliers(gaze, model).passed:
+        return []
+    more = f" and {len(outliers) - NAMED} more" if len(outliers) > NAMED else ""
+    return [
+        f"{len(outliers)} of {len(gaze.rows)} rows disagree with the others and hardly move the "
+        f"result: {', '.join(outliers[:NAMED])}{more}; look at their pictures, reading and "
+        "reference depth"
+    ]
+
+
+def _together(found: GroupCheck) -> str:
+    """Return what to do where rows of a group err together."""
+    return (
+        f"rows of one group err together (p = {found.probability:.0e} if they were independent, "
+        f"{found.groups} groups). If a group has its reference depth from one measurement, state "
+        f"u_z_group_rel = {found.u_z_rel:.1g} or so in [gaze], or keep one row a group; until then "
+        "the intervals of depth may be too short"
+    )
+
+
+def _off_centre(rows: Observations) -> list[str]:
+    """Return a warning if C2 did not gaze at the targets that its images show."""
+    off = np.abs(rows.gaze_residual_rad)
+    noise = np.hypot(rows.std[:, OBSERVABLE.x1c], rows.std[:, OBSERVABLE.residual])
+    unseen = CENTRE_AHEAD_SIGMAS * noise * rows.z_mm / CENTRE_AHEAD_MM
+    limit = np.minimum(GAZE_RESIDUAL_REMARK_RAD, np.where(noise > 0, unseen, np.inf))
+    far, worst = int(np.sum(off > limit)), int(np.argmax(off))
+    if not far:
+        return []
+    return [
+        f"in {far} of {len(rows)} rows the target is off C2's centre column, by "
+        f"{np.rad2deg(off[worst]):.2f} deg in {rows.ids[worst]}: the model holds near the centre "
+        "column, as C2's centre stands some way before its yaw axis. Turn C2 until it gazes at the "
+        "target; if it did, check [board] target, u2_px and the principal point of C2"
+    ]
+
+
+def _left_to_priors(found: Identifiability) -> list[str]:
+    """Return what the rows leave open, with the parameters that priors therefore decide."""
+    left = [name for name, who in zip(found.names, found.decided_by, strict=True) if who == "prior"]
+    texts: list[str] = []
+    for combination in found.open:
+        if any(text.startswith(combination.words) for text in texts):
+            continue  # two combinations may ask for the same
+        own = [name for name in found.names if name in combination.names and name in left]
+        left = [name for name in left if name not in own]
+        decided = f"; until then its prior decides {' and '.join(own)}" if own else ""
+        texts.append(f"{combination.words}{decided}")
+    texts += [
+        f"{name} ({PARAMETERS[INDEX[name]].meaning}) is decided by prior knowledge, not by the rows"
+        for name in left
+    ]
+    return texts
+
+
+def disagreements(gaze: GazeResult) -> tuple[str, ...]:
+    """Return a warning for each reference that the measured depths contradict.
+
+    Rows that borrow their depth from one row are one measurement.
+    """
+    validation = gaze.validation
+    if validation is None:
+        return ()
+    p, found = validation.prediction, []
+    first = np.unique(validation.depth_of, return_index=True)[1]
+    for error in validation.errors:
+        score = normalised_error(p, error)
+        known = np.isfinite(score[first])
+        bad = first[known][score[first][known] > 1]
+        if len(bad) > MISSED_SHARE * known.sum():
+            worst = bad[np.argsort(-score[bad], kind="stable")][:NAMED]
+            named = ", ".join(validation.ids[i] for i in worst)
+            found.append(
+                f"{len(bad)} of {int(known.sum())} validation depths differ from {error.name} by "
+                "more than their 95 % uncertainties together (E_n > 1; the worst first: "
+                f"{named}): calibration reference and validation reference contradict each other, "
+                "or a row is mistaken. The uncertainties stated are against "
+                f"the reference used to calibrate{_common_scale(error.error_rel[first][known])}"
+            )
+    return tuple(found)
+
+
+def _common_scale(error_rel: FloatArray) -> str:
+    """Return what to add where depths are wrong by one factor, as a wrong scale makes them."""
+    middle = float(np.median(error_rel))
+    scatter = float(np.median(np.abs(error_rel - middle)))
+    if len(error_rel) < SCALE_ROWS or abs(middle) < SCALE_RATIO * scatter:
+        return ""
+    return (
+        f". All differ by about {100 * middle:+.1f} %, as a wrong scale makes them: measure the "
+        "board's squares again (square_mm), and check how both references were measured"
+    )

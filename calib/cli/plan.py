@@ -1,0 +1,139 @@
+"""`calib plan`: where to put the next targets."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from calib.dataset.contents import Dataset
+    from calib.plan.prior_knowledge import SoFar
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's arguments."""
+    parser.add_argument("dataset", type=Path, metavar="DATASET", help="folder with dataset.toml")
+    parser.add_argument(
+        "--depth", type=_positive, nargs="+", required=True, metavar="Z",
+        help="depths, mm, at which u(z) matters",
+    )  # fmt: skip
+    parser.add_argument(
+        "--rows", type=_count, default=6, metavar="N", help="targets to come; default: 6"
+    )
+    parser.add_argument(
+        "--targets", type=_positive, nargs=2, metavar=("NEAR", "FAR"),
+        help="depths, mm, at which targets can be put; default: from the nearest to the farthest "
+        "of the rows and the asked depths",
+    )  # fmt: skip
+    parser.add_argument(
+        "--yaw", type=_angle, nargs=2, default=(40.0, 140.0), metavar=("LOW", "HIGH"),
+        help="reachable readings, deg; default: 40 140",
+    )  # fmt: skip
+    parser.add_argument(
+        "--model", default="axis-offset", help="model to learn; default: axis-offset"
+    )
+    parser.add_argument(
+        "--seed", type=_natural, default=0, metavar="N",
+        help="of the random targets beside the advice; default: 0",
+    )  # fmt: skip
+    parser.add_argument(
+        "--run", type=Path, metavar="DIR", dest="folder",
+        help="with images: folder of `calib calibrate`, whose finished stages are used and kept "
+        "up to date; default: reports/NAME",
+    )  # fmt: skip
+    parser.add_argument(
+        "--out", type=Path, metavar="FILE", help="picture, .svg or .png; default: none"
+    )
+
+
+def _positive(text: str) -> float:
+    return _number(text, float("inf"), "a positive number")
+
+
+def _angle(text: str) -> float:
+    return _number(text, 180.0, "an angle between 0 and 180 deg")
+
+
+def _number(text: str, below: float, wanted: str) -> float:
+    """Return a number between 0 and `below`."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0 < value < below:
+        raise argparse.ArgumentTypeError(f"{text!r}: give {wanted}")
+    return value
+
+
+MOST_ROWS = 100
+"""Beyond them nobody walks, and the search takes minutes."""
+
+
+def _count(text: str) -> int:
+    if not (text.isascii() and text.isdigit() and 1 <= int(text) <= MOST_ROWS):
+        raise argparse.ArgumentTypeError(f"{text!r}: give a whole number from 1 to {MOST_ROWS}")
+    return int(text)
+
+
+def _natural(text: str) -> int:
+    if not (text.isascii() and text.isdigit() and int(text) < 2**63):
+        raise argparse.ArgumentTypeError(f"{text!r}: give a whole number from 0 to 2**63 - 1")
+    return int(text)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Print the advice, write its picture, return the exit status."""
+    import numpy as np
+
+    from calib.dataset.load import load_dataset
+    from calib.plan.advise import advise
+    from calib.plan.output import picture, picture_format, text
+    from calib.plan.prepare import prepare
+    from calib.stages.store import write_bytes
+
+    kind = None if arguments.out is None else picture_format(arguments.out)
+    dataset = load_dataset(arguments.dataset, rows_to_come=True)
+    asked = np.array(sorted(set(arguments.depth)))
+    start = prepare(
+        dataset,
+        _so_far(dataset, arguments.folder),
+        model=arguments.model,
+        asked_mm=asked,
+        targets_mm=None if arguments.targets is None else tuple(sorted(arguments.targets)),
+        yaw_deg=tuple(sorted(arguments.yaw)),
+    )
+    advice = advise(
+        start.knowledge,
+        start.field,
+        start.noise,
+        np.random.default_rng(arguments.seed),
+        asked_mm=asked,
+        between_mm=start.between_mm,
+        count=arguments.rows,
+    )
+    sys.stdout.write(text(advice, start))
+    if kind is not None:
+        write_bytes(arguments.out, picture(advice, start.points_mm, kind=kind))
+        sys.stdout.write(f"\npicture: {arguments.out}\n")
+    return 0
+
+
+def _so_far(dataset: Dataset, folder: Path | None) -> SoFar:
+    """Return what is known of the dataset, by its images where it has some."""
+    from calib.cli.console import Console
+    from calib.core.errors import UsageError
+    from calib.plan.prior_knowledge import from_images, from_tables, needs_images
+    from calib.stages.store import Store
+
+    if not needs_images(dataset):
+        if folder is not None:
+            raise UsageError("--run: the dataset has no images, nothing of a run is needed")
+        return from_tables(dataset)
+    console = Console()
+    try:
+        out = folder or Path("reports") / dataset.root.name
+        return from_images(dataset, Store(out, console.announce, console.progress))
+    finally:
+        console.close()

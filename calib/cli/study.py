@@ -1,0 +1,86 @@
+"""`calib study`: many simulated rigs, calibrated and scored."""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+import sys
+from pathlib import Path
+
+DONE, CLAIM_BROKEN = 0, 3
+
+JOURNAL = "rigs.jsonl"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's arguments."""
+    parser.add_argument(
+        "--out", type=Path, default=Path("reports/study"), metavar="DIR",
+        help="default: reports/study; finished rigs there are reused",
+    )  # fmt: skip
+    parser.add_argument(
+        "--rigs", type=_positive, default=100, metavar="N", help="a condition; default: 100"
+    )
+    parser.add_argument("--seed", type=_natural, default=0, metavar="N", help="default: 0")
+    parser.add_argument(
+        "--condition", action="append", metavar="NAME",
+        help="a condition, or the group default, ranks, broken or all; may be repeated; "
+        "default: default",
+    )  # fmt: skip
+    parser.add_argument(
+        "--jobs", type=_positive, default=1, metavar="N", help="processes here; default: 1"
+    )
+    parser.add_argument("--scheduler", metavar="ADDRESS", help="work on this Dask cluster instead")
+
+
+def _natural(text: str) -> int:
+    return _whole(text, 0)
+
+
+def _positive(text: str) -> int:
+    return _whole(text, 1)
+
+
+def _whole(text: str, least: int) -> int:
+    if not (text.isascii() and text.isdigit() and least <= int(text) < 2**63):
+        wanted = f"a whole number from {least} to 2**63 - 1"
+        raise argparse.ArgumentTypeError(f"{text!r}: give {wanted}")
+    return int(text)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the study and return the exit status: 3 if a claim is clearly broken."""
+    from calib.cli.console import Console
+    from calib.study.claims import judge, verdict_text
+    from calib.study.conditions import chosen
+    from calib.study.output import write_study
+    from calib.study.run import run_study
+    from calib.study.scores import score_all
+
+    conditions = chosen(tuple(arguments.condition or ("default",)))
+    console = Console()
+    try:
+        records = run_study(
+            arguments.out / JOURNAL,
+            conditions,
+            rigs=arguments.rigs,
+            seed=arguments.seed,
+            jobs=arguments.jobs,
+            scheduler=arguments.scheduler,
+            progress=lambda done, of: console.progress("rigs", done, of),
+        )
+    finally:
+        console.close()
+    scores = score_all(records)
+    verdicts = judge(scores)
+    settings = {
+        "command": shlex.join(["calib", *sys.argv[1:]]),
+        "seed": arguments.seed,
+        "rigs": arguments.rigs,
+        "conditions": list(conditions),
+    }
+    written = write_study(arguments.out, records, scores, verdicts, settings=settings)
+    lines = [verdict_text(verdict) for verdict in verdicts]
+    lines.append("written: " + ", ".join(str(path) for path in written))
+    sys.stdout.write("\n".join(lines) + "\n")
+    return CLAIM_BROKEN if any(verdict.broken for verdict in verdicts) else DONE

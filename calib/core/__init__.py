@@ -1,0 +1,1 @@
+"""What every room uses: array types, errors, gates; it knows nothing of calibration."""

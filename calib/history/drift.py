@@ -1,0 +1,201 @@
+"""Changes between runs of one rig, in units of their joint uncertainty.
+
+Runs are taken as independent: what they share (the same board, the same ruler) cancels in the
+difference, so that the true significance is if anything higher. Priors that both contain do not
+cancel: a parameter that its prior decides hardly drifts, whatever the rig does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2, norm
+
+from calib.core.arrays import FloatArray
+from calib.geometry.misclosure import depth_jacobian
+from calib.geometry.parameters import INDEX, PARAMETERS
+from calib.geometry.plane import Gaze, depth, gaze_at
+from calib.instrument.calibration_file import Measuring
+
+FAMILY_RISK = 0.05
+"""Chance that any change of an unchanged rig is called significant, over one pair of runs."""
+
+DEPTHS = 3
+"""Depths at which readings are compared: the ends and the middle of what both runs cover."""
+
+EFFECTIVE = "effective_baseline_mm"
+
+
+@dataclass(frozen=True)
+class Run:
+    """One run as far as it is compared.
+
+    Parameters
+    ----------
+    name
+        Path as given.
+    dataset, model
+        Names of dataset and selected model.
+    measuring
+        The instrument.
+    identified_by
+        By parameter: "data", "prior" or "both".
+    scores
+        Predictive scores by name, as far as the run has them.
+    """
+
+    name: str
+    dataset: str
+    model: str
+    measuring: Measuring
+    identified_by: Mapping[str, str]
+    scores: Mapping[str, float]
+
+    def estimates(self) -> dict[str, tuple[float, float]]:
+        """Return value and standard uncertainty by parameter, L_b + e among them."""
+        p = self.measuring.instrument.parameters
+        std = np.sqrt(np.diag(p.covariance))
+        found = {n: (float(v), float(s)) for n, v, s in zip(p.names, p.values, std, strict=True)}
+        pick = np.array([float(n in ("baseline_mm", "eccentricity_mm")) for n in p.names])
+        found[EFFECTIVE] = float(pick @ p.values), float(np.sqrt(pick @ p.covariance @ pick))
+        return found
+
+
+@dataclass(frozen=True)
+class Change:
+    """A change from the first run to another.
+
+    Parameters
+    ----------
+    what
+        Parameter, or the depth at which readings are compared.
+    unit
+        Of the change.
+    difference, std
+        Later less earlier value, and the joint standard uncertainty.
+    significant
+        Whether it is larger than chance would make any of the pair's changes at `FAMILY_RISK`.
+    note
+        What to keep in mind; empty if nothing.
+    """
+
+    what: str
+    unit: str
+    difference: float
+    std: float
+    significant: bool
+    note: str
+
+    @property
+    def sigmas(self) -> float:
+        """The change in units of its standard uncertainty."""
+        return self.difference / self.std if self.std > 0 else 0.0
+
+
+@dataclass(frozen=True)
+class Drift:
+    """All changes from the first run to another.
+
+    Parameters
+    ----------
+    first, other
+        Names of the runs.
+    changes
+        Of parameters free in both, and of depths.
+    p_value
+        Probability of parameters as different as these, together, if nothing has changed; the
+        single changes do not see a change along strongly correlated parameters. None without
+        parameters free in both.
+    """
+
+    first: str
+    other: str
+    changes: tuple[Change, ...]
+    p_value: float | None
+
+    @property
+    def significant(self) -> bool:
+        """Whether the rig has changed."""
+        together = self.p_value is not None and self.p_value < FAMILY_RISK
+        return together or any(change.significant for change in self.changes)
+
+
+def drift(first: Run, other: Run) -> Drift:
+    """Return the changes from one run to another."""
+    earlier, later = first.estimates(), other.estimates()
+    shared = [name for name in later if name in earlier]
+    if first.model != other.model:
+        # Under another model L_b and the rest mean something else; L_b + e and depths do not.
+        shared = [EFFECTIVE]
+    depths = _depth_changes(first, other)
+    limit = float(norm.isf(FAMILY_RISK / 2 / (len(shared) + len(depths))))
+    changes = []
+    for name in shared:
+        (a, u), (b, v) = earlier[name], later[name]
+        changes.append(_change(name, _unit(name), b - a, np.hypot(u, v), limit, _note(
+            name, first, other)))  # fmt: skip
+    for z, difference, std in depths:
+        changes.append(_change(f"reading of {z:.0f} mm", "mm", difference, std, limit, ""))
+    return Drift(first.name, other.name, tuple(changes), _together(first, other))
+
+
+def _change(what: str, unit: str, difference: float, std: float, limit: float, note: str) -> Change:
+    significant = bool(abs(difference) > limit * std)
+    return Change(what, unit, float(difference), float(std), significant, note)
+
+
+def _unit(name: str) -> str:
+    return "mm" if name == EFFECTIVE else PARAMETERS[INDEX[name]].unit
+
+
+def _note(name: str, first: Run, other: Run) -> str:
+    decided = [run.identified_by.get(name) for run in (first, other)]
+    return "decided by its prior" if "prior" in decided else ""
+
+
+def _together(first: Run, other: Run) -> float | None:
+    """Return the chi-squared p of all parameters' differences, for runs of one model."""
+    a, b = first.measuring.instrument.parameters, other.measuring.instrument.parameters
+    if first.model != other.model or a.names != b.names:
+        return None
+    difference = b.values - a.values
+    unit = np.array([PARAMETERS[INDEX[name]].scale for name in a.names])
+    joint = (a.covariance + b.covariance) / np.outer(unit, unit)
+    square = float(difference / unit @ np.linalg.pinv(joint, hermitian=True) @ (difference / unit))
+    return float(chi2.sf(square, len(unit)))
+
+
+def _depth_changes(first: Run, other: Run) -> list[tuple[float, float, float]]:
+    """Return depth, change of what a reading there says, and its uncertainty, mm.
+
+    From the parameters alone: the reading is the same.
+    """
+    ranges = first.measuring.calibrated_mm, other.measuring.calibrated_mm
+    low, high = max(r[0] for r in ranges), min(r[1] for r in ranges)
+    if low >= high:
+        return []
+    z = np.linspace(low, high, DEPTHS)
+    points = np.column_stack([np.zeros((DEPTHS, 2)), z])
+    gaze = gaze_at(first.measuring.instrument.theta, points)
+    # Both by the same steps: of equal runs the difference is 0, without errors of rounding.
+    before, after = (depth(run.measuring.instrument.theta, gaze) for run in (first, other))
+    variance = sum((_depth_variance(run, gaze) for run in (first, other)), np.zeros(DEPTHS))
+    return [
+        (float(at), float(difference), float(np.sqrt(v)))
+        for at, difference, v in zip(z, after - before, variance, strict=True)
+    ]
+
+
+def _depth_variance(run: Run, gaze: Gaze) -> FloatArray:
+    p = run.measuring.instrument.parameters
+    slope = depth_jacobian(run.measuring.instrument.theta, gaze).by_theta
+    chosen = slope[:, [INDEX[name] for name in p.names]]
+    variance: FloatArray = np.einsum("ni,ij,nj->n", chosen, p.covariance, chosen)
+    return variance
+
+
+def drifts(runs: Sequence[Run]) -> tuple[Drift, ...]:
+    """Return the changes from the first run to each of the others."""
+    return tuple(drift(runs[0], other) for other in runs[1:])

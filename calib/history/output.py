@@ -1,0 +1,119 @@
+"""Runs side by side as text and as one HTML page."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from html import escape
+
+from calib.history.drift import FAMILY_RISK, Drift, Run
+
+Table = tuple[str, list[list[str]]]
+
+
+def tables(runs: Sequence[Run], drifts: Sequence[Drift]) -> list[Table]:
+    """Return titles with tables, the first row of each its head."""
+    return [
+        ("Runs", _runs(runs)),
+        ("Parameters", _parameters(runs)),
+        ("Predictive scores", _scores(runs)),
+        *((_title(d), _changes(d)) for d in drifts),
+    ]
+
+
+def _runs(runs: Sequence[Run]) -> list[list[str]]:
+    rows = [["", "run", "dataset", "model", "calibrated depths, mm"]]
+    for i, run in enumerate(runs, 1):
+        low, high = run.measuring.calibrated_mm
+        rows.append([str(i), run.name, run.dataset, run.model, f"{low:.0f} to {high:.0f}"])
+    return rows
+
+
+def _parameters(runs: Sequence[Run]) -> list[list[str]]:
+    """Return values with 95 % intervals, one column a run."""
+    estimates = [run.estimates() for run in runs]
+    names = list(dict.fromkeys(name for one in estimates for name in one))
+    rows = [["", *(f"run {i}" for i in range(1, len(runs) + 1))]]
+    for name in names:
+        cells = []
+        for one in estimates:
+            value, std = one.get(name, (None, None))
+            if value is None or std is None:
+                cells.append("-")
+            else:
+                cells.append(f"{value:.5g} [{value - 1.96 * std:.5g}, {value + 1.96 * std:.5g}]")
+        rows.append([name, *cells])
+    return rows
+
+
+def _scores(runs: Sequence[Run]) -> list[list[str]]:
+    names = list(dict.fromkeys(name for run in runs for name in run.scores))
+    rows = [["", *(f"run {i}" for i in range(1, len(runs) + 1))]]
+    for name in names:
+        values = [run.scores.get(name) for run in runs]
+        rows.append([name, *("-" if v is None else f"{v:.4g}" for v in values)])
+    return rows
+
+
+def _title(drift: Drift) -> str:
+    verdict = "a significant change" if drift.significant else "no significant change"
+    together = "" if drift.p_value is None else f", all parameters together p = {drift.p_value:.2g}"
+    return f"{drift.first} to {drift.other}: {verdict}{together}"
+
+
+def _changes(drift: Drift) -> list[list[str]]:
+    rows = [["", "change", "u", "in units of u", ""]]
+    for c in drift.changes:
+        remark = "significant" if c.significant else ""
+        note = "; ".join(part for part in (remark, c.note) if part)
+        change = _signed(c.difference, ".3g") + (f" {c.unit}" if c.unit != "1" else "")
+        rows.append([c.what, change, f"{c.std:.2g}", _signed(c.sigmas, ".1f"), note])
+    return rows
+
+
+def _signed(value: float, form: str) -> str:
+    """Return a difference with its sign; none is a plain 0."""
+    return format(value, f"+z{form}") if value else "0"
+
+
+def text(found: Sequence[Table]) -> str:
+    """Return the tables for the terminal."""
+    blocks = []
+    for title, rows in found:
+        widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
+        lines = [
+            "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
+            for row in rows
+        ]
+        blocks.append("\n".join([title, *(f"  {line}" for line in lines)]))
+    return "\n\n".join(blocks) + "\n"
+
+
+_HEAD = """<!doctype html>
+<html lang="en"><head><meta charset="utf-8"><title>Runs side by side</title>
+<style>
+body { font: 15px/1.45 "DejaVu Sans", sans-serif; margin: 2em auto; max-width: 62em; }
+table { border-collapse: collapse; margin: .6em 0 1.6em; }
+th, td { padding: .2em .8em .2em 0; text-align: left; border-bottom: 1px solid #d9d9d9; }
+h2 { font-size: 1.05em; margin-bottom: 0; }
+</style></head><body>
+<h1>Runs side by side</h1>
+"""
+
+
+def html(found: Sequence[Table]) -> str:
+    """Return the tables as one self-contained page."""
+    parts = [_HEAD]
+    for title, (head, *rows) in found:
+        parts.append(f"<h2>{escape(title)}</h2>\n<table>\n{_line(head, 'th')}")
+        parts += [_line(row, "td") for row in rows]
+        parts.append("</table>\n")
+    parts.append(
+        "<p>A change is called significant if chance alone would make one as large, among those of "
+        f"its table, with less than {100 * FAMILY_RISK:.0f} % probability. Runs are taken as "
+        "independent.</p>\n</body></html>\n"
+    )
+    return "".join(parts)
+
+
+def _line(cells: Sequence[str], kind: str) -> str:
+    return "<tr>" + "".join(f"<{kind}>{escape(cell)}</{kind}>" for cell in cells) + "</tr>\n"

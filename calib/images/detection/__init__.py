@@ -1,0 +1,1 @@
+"""Board corners in pictures."""

@@ -1,0 +1,99 @@
+"""Image files as grey pictures of 8 bits, and small copies of them for reports."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.core.arrays import FloatArray
+from calib.core.errors import InputError
+
+Grey = NDArray[np.uint8]
+
+TAIL_SHARE = 0.001
+"""Share of darkest and of brightest pixels that deep images may clip: hot pixels, not the board."""
+
+_READ = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
+_PNG, _PNG_END = b"\x89PNG", b"IEND"
+_MARK_COLOURS = ((40, 120, 255), (255, 160, 0))
+"""Red-orange for the corner the count starts from, blue for the others (BGR)."""
+
+
+def read_grey(path: Path, *, name: str) -> Grey:
+    """Return an image as grey values of 8 bits, shape (height, width).
+
+    Pixels stay where the imager had them: a turn asked for by EXIF is ignored. Images deeper than
+    8 bits are scaled by their content.
+
+    Parameters
+    ----------
+    name
+        What messages call the file.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, unreadable, truncated or no image.
+    """
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise InputError.single(
+            where=name,
+            what=f"the image cannot be read ({error.strerror or error})",
+            remedy="check the name in the manifest and the file's permissions",
+        ) from error
+    image = _decode(data)
+    if image is None:
+        raise InputError.single(
+            where=name,
+            what="the file is truncated or no image",
+            remedy="copy it again from the camera, or take it out of the dataset",
+        )
+    return image.astype(np.uint8) if image.itemsize == 1 else _to_8_bit(image.astype(np.float64))
+
+
+def _decode(data: bytes) -> NDArray[np.generic] | None:
+    """Return the decoded image, or None if it is none."""
+    # libpng would write its own words about a truncated file on the user's terminal.
+    if not data or (data.startswith(_PNG) and _PNG_END not in data):
+        return None
+    try:
+        image: NDArray[np.generic] | None = cv2.imdecode(np.frombuffer(data, np.uint8), _READ)
+    except cv2.error:
+        return None
+    return image
+
+
+def _to_8_bit(image: FloatArray) -> Grey:
+    """Scale the range of the content, but for its tails, to 0 to 255."""
+    low, high = np.nanquantile(image, [TAIL_SHARE, 1 - TAIL_SHARE])
+    scaled = (image - low) * (255.0 / max(high - low, np.finfo(np.float64).tiny))
+    grey: Grey = np.clip(np.nan_to_num(scaled), 0, 255).round().astype(np.uint8)
+    return grey
+
+
+def thumbnail(image: Grey, corners: FloatArray, *, width: int) -> NDArray[np.uint8]:
+    """Return a small colour copy of an image with its corners drawn, BGR, `width` px wide.
+
+    Parameters
+    ----------
+    corners
+        Pixels in board order, shape (corners, 2), NaN where missing; the first is marked larger.
+    """
+    scale = width / image.shape[1]
+    size = (width, max(1, round(image.shape[0] * scale)))
+    small = cv2.cvtColor(cv2.resize(image, size, interpolation=cv2.INTER_AREA), cv2.COLOR_GRAY2BGR)
+    # Pixel centres are at whole numbers, before and after.
+    at = (corners + 0.5) * scale - 0.5
+    fraction = 4
+    for i in np.flatnonzero(np.isfinite(at).all(axis=-1))[::-1]:
+        centre = tuple(int(v) for v in np.round(at[i] * 2**fraction))
+        radius = 4 if i == 0 else 2
+        colour = _MARK_COLOURS[0 if i == 0 else 1]
+        cv2.circle(small, centre, radius << fraction, colour, 1, cv2.LINE_AA, fraction)
+    marked: NDArray[np.uint8] = small
+    return marked

@@ -1,0 +1,1 @@
+"""Intrinsics of one camera, by OpenCV and by mrcal."""

@@ -1,0 +1,105 @@
+"""Intrinsics of one camera by mrcal: OpenCV's lens models and, as their cross-check, a spline."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+from calib.core.errors import EstimationError
+from calib.geometry.board import Board, Corners, LensFit
+from calib.images.mrcal.call import MrcalMissingError
+from calib.images.mrcal.solves import (
+    LENS_MODELS,
+    LensGrid,
+    MrcalSolution,
+    focal_start,
+    lens_fits,
+    solve,
+    splined_lens,
+)
+
+PROCESSES = 2
+"""Solves side by side, each a process of one thread; OpenCV needs little time beside them."""
+
+SPLINED = "splined"
+"""Key of the splined lens in `MrcalFits.failed`."""
+
+
+@dataclass(frozen=True)
+class MrcalFits:
+    """What mrcal made of one camera's corners.
+
+    Parameters
+    ----------
+    fits
+        By the names of `calib.images.intrinsics.by_opencv.LENSES`.
+    grids
+        mrcal's own account of rays and projection uncertainty of each.
+    model_files
+        Text of mrcal's ``.cameramodel`` of each, with the inputs of the solve.
+    splined
+        Rays and uncertainty of the splined lens; None if it failed.
+    splined_model
+        Its name.
+    splined_rms_px
+        Root mean square of its residuals per coordinate, px; NaN if it failed.
+    failed
+        Why a solve failed, by lens.
+    missing
+        Why there are no fits at all: mrcal is not installed. None if it is.
+    version
+        mrcal's.
+    """
+
+    fits: Mapping[str, LensFit]
+    grids: Mapping[str, LensGrid]
+    model_files: Mapping[str, str]
+    splined: LensGrid | None
+    splined_model: str
+    splined_rms_px: float
+    failed: Mapping[str, str]
+    missing: str | None = None
+    version: str = "unknown"
+
+
+def fit_mrcal(
+    corners: Corners, board: Board, *, lenses: Mapping[str, int], seed: int, grid: tuple[int, int]
+) -> MrcalFits:
+    """Return intrinsics by mrcal for each lens model, and with a splined one; the board may bow.
+
+    Parameters
+    ----------
+    lenses
+        Names, with the number of OpenCV's distortion coefficients.
+    seed
+        Of mrcal's random numbers.
+    grid
+        Rows and columns of the grids of rays.
+    """
+    focal = focal_start(corners, board)
+    splined = splined_lens(corners, focal_px=focal)
+    models = {name: LENS_MODELS[count] for name, count in lenses.items()} | {SPLINED: splined}
+
+    def attempt(model: str) -> MrcalSolution | Exception:
+        try:
+            return solve([corners], board, lens_model=model, seed=seed, focal_px=[focal], grid=grid)
+        except (EstimationError, MrcalMissingError) as error:
+            return error
+
+    with ThreadPoolExecutor(PROCESSES) as pool:
+        answers = dict(zip(models, pool.map(attempt, models.values()), strict=True))
+    solved = {name: a for name, a in answers.items() if isinstance(a, MrcalSolution)}
+    missing = next((str(a) for a in answers.values() if isinstance(a, MrcalMissingError)), None)
+    spline = solved.pop(SPLINED, None)
+    return MrcalFits(
+        fits={name: lens_fits(solution, [corners])[0] for name, solution in solved.items()},
+        grids={name: solution.grids[0] for name, solution in solved.items()},
+        model_files={name: solution.model_files[0] for name, solution in solved.items()},
+        splined=spline.grids[0] if spline else None,
+        splined_model=splined,
+        splined_rms_px=spline.rms_px if spline else float("nan"),
+        failed={name: str(a) for name, a in answers.items() if isinstance(a, EstimationError)},
+        missing=missing,
+        version=next((s.version for s in solved.values()), "unknown"),
+    )

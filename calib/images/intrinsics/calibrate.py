@@ -1,0 +1,374 @@
+"""Stage: the intrinsics of one camera by both backends, and the one to use."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calib.core.arrays import BoolArray, FloatArray
+from calib.core.errors import EstimationError, InputError
+from calib.core.gate import Gate
+from calib.geometry.board import Board, Corners, LensFit
+from calib.geometry.camera import Camera
+from calib.images.bundle import bowed
+from calib.images.detection.grid import seen
+from calib.images.intrinsics.by_mrcal import MrcalFits, fit_mrcal
+from calib.images.intrinsics.by_opencv import LENSES, fit_opencv
+from calib.images.intrinsics.covariance import view_scores
+from calib.images.intrinsics.gates import (
+    intrinsics_gates,
+    intrinsics_warnings,
+    orientation_fault,
+)
+from calib.images.intrinsics.maps import (
+    GRID,
+    Coverage,
+    LensDifference,
+    LensMap,
+    LensRays,
+    Nodes,
+    compare,
+    map_uncertainty,
+    measure_coverage,
+    nodes,
+    rays_of,
+)
+from calib.images.intrinsics.validate import CrossValidation, cross_validate
+from calib.images.mrcal.solves import MIN_CORNERS, focal_start
+from calib.images.opencv import steady_opencv
+from calib.images.pairs import single_view_pose
+
+MIN_VIEWS = 6
+"""Views needed: three leave nine or more intrinsics without a check, and cross-validation wants to
+leave some out."""
+
+ON_SOLVED_BOARD = " on mrcal's board"
+"""Added to the lens model of OpenCV's fits to the board as mrcal solved it."""
+
+
+@dataclass(frozen=True)
+class Intrinsics:
+    """Intrinsics of one camera.
+
+    Parameters
+    ----------
+    name
+        Of the camera, as in the manifest.
+    selected
+        The fit to use.
+    covariance
+        Of its fx, fy, cx, cy and distortion, px and 1, shape (4 + k, 4 + k): that of the fit times
+        `dispersion`.
+    dispersion
+        Variance of the estimate as the views show it over that which independent corner noise
+        explains; below 1 as far as they prove it.
+    alternatives
+        The other fits: both backends, all lens models.
+    selection
+        The rule's reasons.
+    images
+        One a view.
+    rejected_views
+        Images in which a board was found that the selected fit does not use.
+    detectors
+        Views by detector.
+    coverage, uncertainty
+        Maps over the imager.
+    differences
+        To other lens models and the other backend.
+    validation
+        Leave-views-out cross-validation.
+    model_files
+        Text of mrcal's ``.cameramodel`` of its fits by lens model, with the solve's inputs.
+    mrcal_version
+        None without mrcal.
+    gates, warnings
+        What must hold, and what else the reader should know.
+    """
+
+    name: str
+    selected: LensFit
+    covariance: FloatArray
+    dispersion: float
+    alternatives: tuple[LensFit, ...]
+    selection: str
+    images: tuple[str, ...]
+    rejected_views: tuple[str, ...]
+    detectors: Mapping[str, int]
+    coverage: Coverage
+    uncertainty: LensMap
+    differences: tuple[LensDifference, ...]
+    validation: CrossValidation
+    model_files: Mapping[str, str]
+    mrcal_version: str | None
+    gates: tuple[Gate, ...]
+    warnings: tuple[str, ...]
+
+    @property
+    def camera(self) -> Camera:
+        """The camera to use."""
+        return self.selected.camera
+
+
+def calibrate_intrinsics(corners: Corners, board: Board, *, camera: str, seed: int) -> Intrinsics:
+    """Return the intrinsics of one camera from views of a board.
+
+    The rule: the lens model is the simplest unless a larger one predicts left-out views better
+    beyond doubt (`select_lens`); of its two fits mrcal's is used where there is one, as it solves
+    the bow of the board too, and OpenCV's otherwise.
+
+    Parameters
+    ----------
+    camera
+        Name of the camera, for messages and gates.
+    seed
+        Of mrcal's random numbers.
+
+    Raises
+    ------
+    InputError
+        If fewer than `MIN_VIEWS` different views show the board.
+    EstimationError
+        If no backend finds a solution.
+    """
+    corners, repeated = _distinct(corners)
+    _require_views(corners, board, camera)
+    try:
+        with steady_opencv():
+            backends = _solve(corners, board, seed)
+            validation = cross_validate(corners, board, backends.checked, points=backends.points)
+            return _assemble(corners, backends, validation, camera=camera, repeated=repeated)
+    except EstimationError as error:
+        raise EstimationError(_diagnosis(corners, board, camera, error)) from error
+
+
+@dataclass(frozen=True)
+class _Backends:
+    """Fits by lens model.
+
+    `flat` are OpenCV's fits to the board as drawn, `checked` to `points`, the board as mrcal solved
+    it, mm (as drawn without mrcal); `failed` says which lens models the views do not determine.
+    """
+
+    flat: Mapping[str, LensFit]
+    checked: Mapping[str, LensFit]
+    points: Mapping[str, FloatArray]
+    mrcal: MrcalFits
+    failed: tuple[str, ...]
+
+    @property
+    def all(self) -> tuple[LensFit, ...]:
+        """The fits that are reported."""
+        return (*self.flat.values(), *self.mrcal.fits.values())
+
+
+def _solve(corners: Corners, board: Board, seed: int) -> _Backends:
+    """Solve with OpenCV, then with mrcal without the views that OpenCV found wrong with any lens.
+
+    A view that mrcal discards corner by corner, to the last, leaves its pose open and the solve
+    without a covariance.
+    """
+    drawn = dict.fromkeys(LENSES, board.object_points())
+    flat, failed = _fit_lenses(corners, board, {}, drawn)
+    if next(iter(LENSES)) not in flat:
+        raise EstimationError("; ".join(failed))
+    used = np.any([_views_of(fit) for fit in flat.values()], axis=0)
+    unused = seen(corners.pixels) & ~used[:, None]
+    kept = replace(corners, pixels=np.where(unused[..., None], np.nan, corners.pixels))
+    mrcal = fit_mrcal(kept, board, lenses=LENSES, seed=seed, grid=GRID)
+    mrcal = replace(
+        mrcal,
+        fits={
+            lens: replace(fit, rejected=fit.rejected + int(unused.sum()))
+            for lens, fit in mrcal.fits.items()
+        },
+    )
+    if not mrcal.fits:
+        return _Backends(flat, flat, drawn, mrcal, failed)
+    points = drawn | {
+        lens: bowed(drawn[lens], fit.board_warp_mm) for lens, fit in mrcal.fits.items()
+    }
+    checked, failed = _fit_lenses(corners, board, flat, points)
+    return _Backends(flat, checked, points, mrcal, failed)
+
+
+def _views_of(fit: LensFit) -> BoolArray:
+    """Return which views a fit uses, shape (views,)."""
+    return np.asarray(np.isfinite(fit.residuals).any(axis=(1, 2)))
+
+
+def _fit_lenses(
+    corners: Corners,
+    board: Board,
+    start: Mapping[str, LensFit],
+    points: Mapping[str, FloatArray],
+) -> tuple[dict[str, LensFit], tuple[str, ...]]:
+    """Return OpenCV's fits by lens model, and why others failed."""
+    fits, failed = {}, []
+    for lens in LENSES:
+        begin = start[lens].camera if lens in start else None
+        try:
+            fits[lens] = fit_opencv(corners, board, lens=lens, points=points[lens], start=begin)
+        except EstimationError as error:
+            failed.append(f"{lens}: {error}")
+    return fits, tuple(failed)
+
+
+def _distinct(corners: Corners) -> tuple[Corners, tuple[str, ...]]:
+    """Blank out views that repeat an earlier one corner for corner; return their images too."""
+    first: dict[bytes, int] = {}
+    repeated = []
+    for i, view in enumerate(corners.pixels):
+        if seen(view).any() and first.setdefault(view.tobytes(), i) != i:
+            repeated.append(i)
+    pixels = corners.pixels.copy()
+    pixels[repeated] = np.nan
+    return replace(corners, pixels=pixels), tuple(corners.images[i] for i in repeated)
+
+
+def _require_views(corners: Corners, board: Board, camera: str) -> None:
+    kind = "columns and rows"
+    if board.type == "charuco":
+        kind = "columns, rows, dictionary and legacy"
+    usable = int((seen(corners.pixels).sum(axis=-1) >= MIN_CORNERS).sum())
+    if usable < MIN_VIEWS:
+        raise InputError.single(
+            where=f"dataset.toml, [cameras.{camera}], images",
+            what=f"the board is found, with {MIN_CORNERS} corners or more, in {usable} different "
+            f"views of {len(corners.images)}, and {MIN_VIEWS} are needed",
+            remedy=f"add sharp pictures of the whole board, and check {kind} of [board]",
+        )
+
+
+def _diagnosis(corners: Corners, board: Board, camera: str, error: EstimationError) -> str:
+    """Say why no solution was found: from poses under the first guess of the focal length."""
+    focal = focal_start(corners, board)
+    middle = (np.array(corners.image_size) - 1) / 2
+    guess = Camera(
+        np.array([[focal, 0, middle[0]], [0, focal, middle[1]], [0, 0, 1]]),
+        np.zeros(0),
+        corners.image_size,
+    )
+    views = [view for view in corners.pixels if seen(view).sum() >= MIN_CORNERS]
+    points = board.object_points()
+    poses = [single_view_pose(guess, points=points, pixels=view)[0] for view in views]
+    fault = orientation_fault(np.stack(poses))
+    why = f"{fault}: take pictures with other tilts; " if fault else ""
+    return f"intrinsics of {camera}: {why}{error}"
+
+
+def _assemble(
+    corners: Corners,
+    backends: _Backends,
+    validation: CrossValidation,
+    *,
+    camera: str,
+    repeated: tuple[str, ...],
+) -> Intrinsics:
+    """Select a fit and judge it."""
+    lens, mrcal = validation.chosen, backends.mrcal
+    selected = mrcal.fits.get(lens, backends.checked[lens])
+    points = backends.points[lens]
+    scores = view_scores(selected.camera, selected.poses, selected.residuals, points)
+    dispersion = scores.dispersion()
+    enlarged = replace(selected, covariance=selected.covariance * dispersion)
+    inliers = np.where(np.isfinite(selected.residuals), corners.pixels, np.nan)
+    coverage = measure_coverage(inliers, corners.image_size)
+    at = nodes(inliers, corners.image_size)
+    agreement, splined, others = _differences(enlarged, selected, backends, lens, at)
+    unused = seen(corners.pixels).any(axis=-1) & ~_views_of(selected)
+    odd = _odd_views(corners, selected)
+    gates = intrinsics_gates(camera, enlarged, coverage, validation, agreement=agreement)
+    return Intrinsics(
+        name=camera,
+        selected=selected,
+        covariance=enlarged.covariance,
+        dispersion=dispersion,
+        alternatives=tuple(fit for fit in backends.all if fit is not selected),
+        selection=_selection(selected, validation, backends),
+        images=corners.images,
+        rejected_views=tuple(corners.images[i] for i in np.flatnonzero(unused)),
+        detectors=dict(Counter(corners.detector)),
+        coverage=coverage,
+        uncertainty=map_uncertainty(enlarged, at),
+        differences=tuple(d for d in (agreement, splined, *others) if d is not None),
+        validation=validation,
+        model_files=mrcal.model_files,
+        mrcal_version=None if mrcal.missing else mrcal.version,
+        gates=gates,
+        warnings=(
+            *_picture_warnings(camera, corners, repeated, odd),
+            *_backend_warnings(camera, mrcal),
+            *intrinsics_warnings(camera, gates, dispersion=dispersion, splined=splined),
+        ),
+    )
+
+
+def _differences(
+    enlarged: LensFit, selected: LensFit, backends: _Backends, lens: str, at: Nodes
+) -> tuple[LensDifference | None, LensDifference | None, list[LensDifference]]:
+    """Return how the selected fit differs from the other backend's, from a spline, from the rest.
+
+    `enlarged` is the selected one with its final covariance.
+    """
+    agreement = splined = None
+    if selected.backend == "mrcal":
+        checked = backends.checked[lens]
+        shaped = replace(checked, lens_model=checked.lens_model + ON_SOLVED_BOARD)
+        agreement = compare(enlarged, rays_of(shaped, at), at)
+    spline = backends.mrcal.splined
+    if spline is not None:
+        splined = compare(enlarged, LensRays("mrcal splined", spline.rays, spline.std_px), at)
+    others = [fit for fit in backends.all if fit is not selected]
+    return agreement, splined, [compare(enlarged, rays_of(fit, at), at) for fit in others]
+
+
+def _selection(selected: LensFit, validation: CrossValidation, backends: _Backends) -> str:
+    """Say which fit was selected and why."""
+    mrcal = backends.mrcal
+    if selected.backend == "mrcal":
+        backend = "mrcal, which solves the bow of the board too"
+    else:
+        backend = "OpenCV, " + ("alone here" if mrcal.missing else "as mrcal found no solution")
+    return "; ".join([validation.reason, *backends.failed, f"by {backend}"])
+
+
+def _odd_views(corners: Corners, selected: LensFit) -> tuple[str, ...]:
+    """Return the images of which the fit rejected over half of the corners."""
+    found = seen(corners.pixels).sum(axis=-1)
+    kept = seen(selected.residuals).sum(axis=-1)
+    return tuple(corners.images[i] for i in np.flatnonzero(2 * kept < found))
+
+
+def _picture_warnings(
+    camera: str, corners: Corners, repeated: tuple[str, ...], odd: tuple[str, ...]
+) -> tuple[str, ...]:
+    """Say what became of pictures that are not used."""
+    warnings = []
+    missed = [
+        name for name, who in zip(corners.images, corners.detector, strict=True) if who == "none"
+    ]
+    if missed:
+        warnings.append(
+            f"{camera}: no board found in {len(missed)} of {len(corners.images)} intrinsic images "
+            f"({', '.join(missed)})"
+        )
+    if repeated:
+        warnings.append(f"{camera}: repeats of other images are not used: {', '.join(repeated)}")
+    if odd:
+        warnings.append(
+            f"{camera}: most corners of {', '.join(odd)} contradict the other images and were "
+            "left out: look whether such a picture is turned, scaled, or taken with another focus "
+            "or camera"
+        )
+    return tuple(warnings)
+
+
+def _backend_warnings(camera: str, mrcal: MrcalFits) -> tuple[str, ...]:
+    """Say which solves are missing."""
+    if mrcal.missing:
+        return (f"{camera}: {mrcal.missing}",)
+    return tuple(f"{camera}: mrcal, {lens}: {why}" for lens, why in mrcal.failed.items())

@@ -1,0 +1,193 @@
+"""What must hold before intrinsics may be used, and what a reader should be told besides."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from calib.core.arrays import FloatArray
+from calib.core.gate import Gate
+from calib.geometry.board import LensFit
+from calib.geometry.poses import rotation
+from calib.images.bundle import finite
+from calib.images.checks import fit_gate, gate
+from calib.images.intrinsics.maps import Coverage, LensDifference
+from calib.images.intrinsics.validate import CrossValidation
+
+COVERAGE_MIN = 0.5
+"""Share of the imager's cells that must hold corners: the lens model is only interpolated between
+corners. Thirteen pictures of a hand-held board (OpenCV's) cover 0.67 to 0.71; boards kept in the
+middle of the picture 0.2 to 0.3."""
+
+CROSS_VALIDATION_MAX = 1.3
+"""A view left out over the same view fitted, rms, in the median view. Good pictures give 1.01 at 20
+views and 1.1 at 6. Above, the lens follows noise, or there are too few."""
+
+FOCAL_STD_MAX = 0.005
+"""Relative standard uncertainty of the focal length. Depth inherits it; a usual set of 20 tilted
+views reaches 0.001, boards parallel to the imager 0.05 and worse."""
+
+TILT_SPREAD_MIN_DEG = 4.0
+"""Root mean square angle of the boards' normals about their mean. Corner noise alone scatters the
+normals of parallel boards by one or two degrees, hand-held boards by 15 to 30."""
+
+PARALLEL_DEG = 15.0
+"""A mean normal this near the optical axis is called parallel to the imager."""
+
+ONE_PLACE = 0.1
+"""Scatter of the board's place, over its distance, below which it stood at one place; boards moved
+all over the picture scatter by 0.4."""
+
+AGREEMENT_MAX = 1.0
+"""Backends see the same corners, so they must agree within what each says it does not know."""
+
+DISPERSION_WARN = 2.0
+"""Variance between views over that of corner noise: twenty views of pure noise give 1.0 +- 0.2."""
+
+SPLINE_WARN = 2.0
+"""Difference to a splined lens over the uncertainty of both."""
+
+
+def orientation_fault(poses: FloatArray) -> str | None:
+    """Return what is wrong with how the boards were held, if they hardly differ in tilt.
+
+    Parameters
+    ----------
+    poses
+        Camera from board, rad and mm, shape (views, 6); NaN where there is none.
+    """
+    known = poses[finite(poses)]
+    normals = np.stack([rotation(pose[:3])[:, 2] for pose in known])
+    mean = normals.mean(axis=0)
+    mean /= np.linalg.norm(mean)
+    angles = np.degrees(np.arccos(np.clip(normals @ mean, -1, 1)))
+    spread = float(np.sqrt(np.mean(angles**2)))
+    if spread >= TILT_SPREAD_MIN_DEG:
+        return None
+    tilt = float(np.degrees(np.arccos(min(1.0, abs(mean[2])))))
+    if _at_one_place(known):
+        what = "the board stood at one place in one attitude"
+    elif tilt < PARALLEL_DEG:
+        what = "all boards are parallel to the imager"
+    else:
+        what = "all boards are parallel to each other"
+    return f"{what} (tilts differ by {spread:.1f} deg rms, {TILT_SPREAD_MIN_DEG:g} are needed)"
+
+
+def _at_one_place(poses: FloatArray) -> bool:
+    """Whether the boards of finite poses, shape (n, 6), stand at one place."""
+    where = poses[:, 3:]
+    scatter = np.linalg.norm(where.std(axis=0)) / np.linalg.norm(where.mean(axis=0))
+    return bool(scatter < ONE_PLACE)
+
+
+def intrinsics_gates(
+    name: str,
+    fit: LensFit,
+    coverage: Coverage,
+    validation: CrossValidation,
+    *,
+    agreement: LensDifference | None,
+) -> tuple[Gate, ...]:
+    """Return the gates on the intrinsics of one camera.
+
+    Parameters
+    ----------
+    name
+        Of the camera; leads the gates' names.
+    fit
+        The one selected, its covariance enlarged by the dispersion.
+    agreement
+        Difference to the other backend, where there is one.
+    """
+    gates = [
+        _coverage_gate(name, coverage, fit.poses),
+        fit_gate(
+            f"{name}-residuals",
+            fit.residuals,
+            fit.rejected,
+            remedy="check columns and rows of [board], and that the images are sharp and of one "
+            "camera",
+        ),
+        _validation_gate(name, validation),
+        _focal_gate(name, fit),
+    ]
+    if agreement is not None:
+        gates.append(
+            gate(
+                f"{name}-backends",
+                agreement.ratio <= AGREEMENT_MAX,
+                f"{agreement.first} and {agreement.second} differ by {agreement.rms_px:.3f} px rms "
+                f"over the covered imager, {agreement.ratio:.2f} of their stated uncertainty (at "
+                f"most {AGREEMENT_MAX:g})",
+                remedy="compare the difference map with the coverage and add pictures where it is "
+                "large",
+            )
+        )
+    return tuple(gates)
+
+
+def _coverage_gate(name: str, coverage: Coverage, poses: FloatArray) -> Gate:
+    still = _at_one_place(poses[finite(poses)])
+    return gate(
+        f"{name}-coverage",
+        coverage.share >= COVERAGE_MIN,
+        f"corners in {100 * coverage.share:.0f} % of the imager's cells (at least "
+        f"{100 * COVERAGE_MIN:.0f}), out to {100 * coverage.reach:.0f} % of its half diagonal"
+        + ("; the board stood at one place" if still else ""),
+        remedy="add pictures with the board at the edges and corners of the imager",
+    )
+
+
+def _validation_gate(name: str, validation: CrossValidation) -> Gate:
+    i = validation.lenses.index(validation.chosen)
+    return gate(
+        f"{name}-cross-validation",
+        bool(validation.ratio[i] <= CROSS_VALIDATION_MAX),
+        f"left-out views {validation.rms_px[i]:.3f} px rms, fitted "
+        f"{validation.fitted_rms_px[i]:.3f} px; in the median view {validation.ratio[i]:.2f} times "
+        f"(at most {CROSS_VALIDATION_MAX:g})",
+        remedy="add pictures, or take out those of another camera, focus or board",
+    )
+
+
+def _focal_gate(name: str, fit: LensFit) -> Gate:
+    focal = np.diag(fit.camera.matrix)[:2]
+    relative = float((np.sqrt(np.diag(fit.covariance)[:2]) / focal).max())
+    fault = orientation_fault(fit.poses)
+    why = f"; {fault}" if fault else ""
+    return gate(
+        f"{name}-focal-length",
+        relative <= FOCAL_STD_MAX and fault is None,
+        f"relative standard uncertainty {100 * relative:.3f} % (at most "
+        f"{100 * FOCAL_STD_MAX:g} %){why}",
+        remedy="take pictures with the board tilted by 20 to 40 deg in all directions",
+    )
+
+
+def intrinsics_warnings(
+    name: str,
+    gates: tuple[Gate, ...],
+    *,
+    dispersion: float,
+    splined: LensDifference | None,
+) -> Iterator[str]:
+    """Yield what the reader should know of the fit and no gate covers.
+
+    Where `gates` say that the views do not determine the lens, a comparison of lenses says nothing.
+    """
+    if dispersion > DISPERSION_WARN:
+        yield (
+            f"{name}: the views contradict each other {dispersion:.1f} times as much as "
+            "independent corner noise explains (board not flat, detector bias, blur); the "
+            "covariance of the intrinsics is enlarged by that factor"
+        )
+    if splined is None or not all(gate.passed for gate in gates):
+        return
+    if splined.ratio > SPLINE_WARN:
+        yield (
+            f"{name}: {splined.second} differs from {splined.first} by {splined.rms_px:.2f} px rms "
+            f"over the covered imager, {splined.ratio:.1f} times their "
+            "stated uncertainty: the lens has more shape than its model"
+        )

@@ -1,0 +1,1 @@
+"""mrcal, run in a process of its own."""

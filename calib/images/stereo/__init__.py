@@ -1,0 +1,1 @@
+"""The stereo reference: pose of C2, and depths of boards by triangulation."""

@@ -1,0 +1,1 @@
+"""The yaw sweep: where the axis of C2 stands."""

@@ -1,0 +1,364 @@
+"""Stage: the calibrated instrument, what it measures over its range, and on the validation rows."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.random import SeedSequence
+
+from calib.core.arrays import BoolArray, FloatArray, IntArray
+from calib.fit.posterior import Posterior, Progress
+from calib.fit.robust import RobustFit
+from calib.geometry.plane import OBSERVABLE, Gaze, depth, gaze_at
+from calib.rows.from_table import (
+    Setup,
+    ValidationRows,
+    direction_by_common,
+)
+from calib.rows.observations import Observations
+from calib.uncertainty.measurement import (
+    Instrument,
+    ParameterKnowledge,
+    ReadingSpread,
+    SharedErrors,
+    Spread,
+)
+from calib.uncertainty.montecarlo import NORMAL_FACTOR
+from calib.uncertainty.predictive import (
+    DepthPrediction,
+    depth_sources,
+    linear_positions,
+    predict_depths,
+)
+
+GRID_POINTS = 21
+"""Depths of the uncertainty table."""
+
+_EVALUATION = {"data": "A", "prior": "B", "both": "A, B"}
+
+
+@dataclass(frozen=True)
+class CalibratedInstrument:
+    """The instrument as the selected model describes it.
+
+    Parameters
+    ----------
+    model
+        Name of the model.
+    instrument
+        Parameters with their joint distribution, and the errors of a reading.
+    noise_factor
+        By how much the stated uncertainties of a reading were widened: the root mean square of
+        the noise scale, at least 1. The rows may prove the stated uncertainties too small; that
+        they are too large is not believed of a reading, since the reference depths may be what is
+        better than stated.
+    calibrated_mm
+        Least and greatest reference depth of the rows, shape (2,).
+    setup
+        The cameras, and the errors that all readings share with the calibration.
+    """
+
+    model: str
+    instrument: Instrument
+    noise_factor: float
+    calibrated_mm: FloatArray
+    setup: Setup
+
+    @property
+    def measures_residual(self) -> bool:
+        """Whether C2's image told the gaze residual of the calibration rows."""
+        return self.instrument.reading.gaze_residual_rad.normal > 0
+
+    def loadings(self, gaze: Gaze) -> FloatArray | None:
+        """Return what the shared errors do to readings, shape (n, 4, m); None without any."""
+        cameras, shared = self.setup.cameras, self.setup.shared
+        if not shared.names:
+            return None
+        loadings = np.zeros((len(gaze), OBSERVABLE.z, shared.factor.shape[1]))
+        if cameras.c1 is not None:
+            xy = np.stack([gaze.x1c, gaze.y1c], axis=1)
+            loadings[:, : OBSERVABLE.alpha2] = direction_by_common(xy, cameras.c1, shared)
+        if cameras.c2 is not None and self.measures_residual:
+            # Near the centre column: the error of cx2 over fx2.
+            by_centre = shared.of_camera("c2", cameras.c2)[2]
+            loadings[:, OBSERVABLE.residual] = -by_centre / cameras.c2.matrix[0, 0]
+        return loadings
+
+
+def build_instrument(
+    posterior: Posterior, fit: RobustFit, rows: Observations, setup: Setup
+) -> CalibratedInstrument:
+    """Return the instrument of the selected model."""
+    common = posterior.common.reshape(len(posterior.flat), -1)
+    return instrument_from_draws(posterior.flat, common, fit, rows, setup)
+
+
+def instrument_from_draws(
+    draws: FloatArray, common: FloatArray, fit: RobustFit, rows: Observations, setup: Setup
+) -> CalibratedInstrument:
+    """Return the instrument that draws from a posterior describe.
+
+    Parameters
+    ----------
+    draws
+        Of equal weight, shared errors included: free parameters, then the logarithm of the noise
+        scale, shape (m, p + 1).
+    common
+        The shared standard-normal errors that went with each draw, shape (m, k).
+    fit
+        The robust fit of the same model.
+    """
+    factor = max(1.0, float(np.sqrt(np.mean(np.exp(2 * draws[:, -1])))))
+    own = draws[:, :-1] - common @ fit.by_shared.T
+    parameters = ParameterKnowledge(
+        names=fit.names,
+        values=own.mean(axis=0),
+        covariance=np.cov(own, rowvar=False) + fit.by_shared @ fit.by_shared.T,
+        degrees_of_freedom=None,
+        evaluation=tuple(_EVALUATION[who] for who in fit.identified_by),
+        draws=draws[:, :-1],
+    )
+    direction = float(np.median(rows.std[:, OBSERVABLE.x1c]))
+    across = float(np.median(rows.std[:, OBSERVABLE.y1c]))
+    residual = float(np.median(rows.std[:, OBSERVABLE.residual]))
+    # Where the gaze residual is measured, the motor's step is no error: see calib.rows.from_table.
+    step = 0.0 if residual > 0 else setup.settings.encoder_step_rad
+    reading = ReadingSpread(
+        x1c=Spread(normal=factor * direction),
+        y1c=Spread(normal=factor * across),
+        alpha2_rad=Spread(normal=factor * setup.settings.u_alpha2_rad, width=factor * step),
+        gaze_residual_rad=Spread(normal=factor * residual),
+    )
+    shared = None
+    if fit.shared_names:
+        shared = SharedErrors(
+            fit.shared_names,
+            with_parameters=fit.by_shared,
+            own_draws=own,
+            of_rows_alone=len(fit.shared_names) - len(rows.shared_names),
+        )
+    return CalibratedInstrument(
+        model=fit.model,
+        instrument=Instrument(parameters, reading, shared),
+        noise_factor=factor,
+        calibrated_mm=np.array([rows.z_mm.min(), rows.z_mm.max()]),
+        setup=setup,
+    )
+
+
+@dataclass(frozen=True)
+class DepthTable:
+    """Depth uncertainty over the range, for a target on C1's optical axis.
+
+    Parameters
+    ----------
+    depth_mm
+        Shape (n,).
+    prediction
+        What the instrument says of a target there.
+    extrapolated
+        Whether the depth lies outside those of the calibration rows, shape (n,).
+    factor95
+        Half width of the 95 % interval of 1 / z over its linear standard uncertainty: the largest
+        of the calibrated depths, at least 1.96. Inverse depth is nearly normal where depth itself
+        is skewed: `calib measure` makes its intervals with it.
+    sources_mm
+        What each source contributes to the linear standard uncertainty, by name, shape (n,) each.
+    """
+
+    depth_mm: FloatArray
+    prediction: DepthPrediction
+    extrapolated: BoolArray
+    factor95: float
+    sources_mm: Mapping[str, FloatArray]
+
+
+def tabulate_depths(
+    calibrated: CalibratedInstrument,
+    *,
+    low_mm: float,
+    high_mm: float,
+    seed: SeedSequence,
+    points: int = GRID_POINTS,
+) -> DepthTable:
+    """Return the depth uncertainty from `low_mm` to `high_mm`."""
+    z = np.linspace(low_mm, high_mm, points)
+    targets = np.stack([np.zeros_like(z), np.zeros_like(z), z], axis=1)
+    gaze = gaze_at(calibrated.instrument.theta, targets)
+    instrument, loadings = calibrated.instrument, calibrated.loadings(gaze)
+    prediction = predict_depths(instrument, gaze, np.random.default_rng(seed), loadings=loadings)
+    sources = depth_sources(instrument, linear_positions(instrument, gaze, loadings))
+    low, high = calibrated.calibrated_mm
+    outside = (z < low) | (z > high)
+    return DepthTable(z, prediction, outside, _factor95(prediction, ~outside), sources)
+
+
+def _factor95(p: DepthPrediction, inside: BoolArray) -> float:
+    """Return the coverage factor of inverse depth where it is largest among the depths inside."""
+    half = (1 / p.low95_mm - 1 / p.high95_mm) / 2
+    factor = half * p.z_mm**2 / p.gum_u_mm
+    return float(max(NORMAL_FACTOR, factor[inside].max(initial=0.0)))
+
+
+@dataclass(frozen=True)
+class ReferenceAgreement:
+    """Agreement of measured depths with one reference.
+
+    Parameters
+    ----------
+    name
+        "reference" for the first, else the name in the table.
+    reference_mm, std_mm
+        Its depths, shape (n,), NaN where a row has none, and their standard uncertainties, 0
+        where none is stated.
+    error_rel
+        (measured - reference) / reference, shape (n,); NaN where a row has no such reference.
+    rms_rel, mean_rel
+        Over the rows that have it.
+    """
+
+    name: str
+    reference_mm: FloatArray
+    std_mm: FloatArray
+    error_rel: FloatArray
+    rms_rel: float
+    mean_rel: float
+
+
+@dataclass(frozen=True)
+class ValidationResult:
+    """What the instrument, and each other model, measures on the validation rows.
+
+    Parameters
+    ----------
+    ids, groups
+        Of the rows, n of them.
+    depth_of
+        For each row the place of the row whose depth it uses, shape (n,).
+    reference_mm
+        First reference depth, shape (n,).
+    prediction
+        Depth of each row, by the row whose depth it uses.
+    position_mm
+        x, y, z, shape (n, 3).
+    own_depth_mm
+        Depth by each row's own angle, by model, shape (n,) each.
+    errors
+        Against each reference.
+    """
+
+    ids: tuple[str, ...]
+    groups: tuple[str, ...]
+    depth_of: IntArray
+    reference_mm: FloatArray
+    prediction: DepthPrediction
+    position_mm: FloatArray
+    own_depth_mm: Mapping[str, FloatArray]
+    errors: tuple[ReferenceAgreement, ...]
+
+
+def measure_validation(
+    calibrated: CalibratedInstrument,
+    validation: ValidationRows,
+    fits: Mapping[str, RobustFit],
+    *,
+    seed: SeedSequence,
+    progress: Progress | None = None,
+) -> ValidationResult:
+    """Return what the instrument measures on the validation rows."""
+    rows, source = validation.rows, validation.depth_of
+    loadings = rows.shared[source, : OBSERVABLE.z] if rows.shared_names else None
+    used = rows.take(source)
+    prediction = predict_depths(
+        calibrated.instrument,
+        used.gaze,
+        np.random.default_rng(seed),
+        loadings=loadings,
+        progress=progress,
+    )
+    z = prediction.z_mm
+    first = _agreement_with("reference", z, rows.z_mm, rows.std[:, OBSERVABLE.z])
+    others = [
+        _agreement_with(name, z, depths, np.zeros(len(rows)))
+        for name, depths in validation.references.items()
+    ]
+    return ValidationResult(
+        ids=rows.ids,
+        groups=rows.groups,
+        depth_of=source,
+        reference_mm=rows.z_mm,
+        prediction=prediction,
+        position_mm=np.stack([rows.x1c * z, rows.y1c * z, z], axis=1),
+        own_depth_mm={name: depth(fit.theta, rows.gaze) for name, fit in fits.items()},
+        errors=(first, *others),
+    )
+
+
+def _agreement_with(
+    name: str, z: FloatArray, reference: FloatArray, std: FloatArray
+) -> ReferenceAgreement:
+    error = z / reference - 1
+    known = error[np.isfinite(error)]
+    return ReferenceAgreement(
+        name=name,
+        reference_mm=reference,
+        std_mm=std,
+        error_rel=error,
+        rms_rel=float(np.sqrt(np.mean(known**2))) if len(known) else 0.0,
+        mean_rel=float(np.mean(known)) if len(known) else 0.0,
+    )
+
+
+def normalised_error(p: DepthPrediction, reference: ReferenceAgreement) -> FloatArray:
+    """Return E_n of each measured depth, shape (n,), NaN without reference.
+
+    The difference over the expanded uncertainty of the difference (ISO 13528, 9.7).
+    """
+    half = (p.high95_mm - p.low95_mm) / 2
+    difference = np.abs(reference.error_rel * reference.reference_mm)
+    score: FloatArray = difference / np.hypot(half, 2 * reference.std_mm)
+    return score
+
+
+@dataclass(frozen=True)
+class GroupSpread:
+    """How consistently each model measures the rows of one group, each by its own angle.
+
+    Parameters
+    ----------
+    group, count
+        Name, and number of rows.
+    depth_mm
+        Mean reference depth.
+    spread_mm
+        Standard deviation of depth by own angle less reference depth, by model.
+    """
+
+    group: str
+    count: int
+    depth_mm: float
+    spread_mm: Mapping[str, float]
+
+
+SPREAD_ROWS = 3
+"""Fewer rows of a group show no spread."""
+
+
+def spread_by_group(validation: ValidationResult) -> tuple[GroupSpread, ...]:
+    """Return the spread over each group of `SPREAD_ROWS` rows or more."""
+    found = []
+    members: dict[str, list[int]] = {}
+    for i, group in enumerate(validation.groups):
+        members.setdefault(group, []).append(i)
+    for group, rows in members.items():
+        if len(rows) < SPREAD_ROWS:
+            continue
+        reference = validation.reference_mm[rows]
+        spread = {
+            model: float(np.std(z[rows] - reference, ddof=1))
+            for model, z in validation.own_depth_mm.items()
+        }
+        found.append(GroupSpread(group, len(rows), float(reference.mean()), spread))
+    return tuple(found)

@@ -1,0 +1,1 @@
+"""The result of a calibration and its files: calibration.json, results.h5, the manifest."""

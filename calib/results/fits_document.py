@@ -1,0 +1,135 @@
+"""The fits, as they stand in calibration.json."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from calib.core.arrays import FloatArray
+from calib.fit.convex import ConvexFit
+from calib.fit.linear import LinearFit
+from calib.fit.posterior import Posterior
+from calib.fit.robust import RobustFit
+
+
+def _estimate(names: Sequence[str], values: FloatArray, covariance: FloatArray) -> dict[str, Any]:
+    std = np.sqrt(np.diag(covariance))
+    pairs = zip(names, values, std, strict=True)
+    return {
+        "parameters": {name: {"value": value, "std": s} for name, value, s in pairs},
+        "names": list(names),
+        "covariance": covariance,
+    }
+
+
+def linear_document(fit: LinearFit) -> dict[str, Any]:
+    """Return the paper's linear calibration."""
+    return _estimate(fit.names, fit.values, fit.covariance) | {
+        "residual_mrad": fit.residual_mrad,
+        "sigma_mrad": fit.sigma_mrad,
+        "outliers": [],
+        "diagnostics": {
+            "product_mm": fit.product_mm,
+            "inconsistency_mm": fit.inconsistency_mm,
+            "implied_axis_z_mm": fit.implied_axis_z_mm,
+            "condition": fit.condition,
+        },
+    }
+
+
+def convex_document(fit: ConvexFit) -> dict[str, Any]:
+    """Return the convex fit, with what its solver says."""
+    return _estimate(fit.names, fit.values, fit.covariance) | {
+        "residual_mrad": fit.residual_mrad,
+        "sigma_mrad": fit.sigma_mrad,
+        "outliers": list(fit.outliers),
+        "diagnostics": {
+            "status": fit.status,
+            "optimal": fit.optimal,
+            "objective": fit.objective,
+            "duality_gap": fit.duality_gap,
+            "at_bound": list(fit.at_bound),
+            "implied_axis_z_mm": fit.implied_axis_z_mm,
+        },
+    }
+
+
+def effective_baseline(
+    names: Sequence[str], values: FloatArray, covariance: FloatArray
+) -> tuple[float, float] | None:
+    """Return L_b + e, the baseline seen at 90 deg, with its standard deviation, mm.
+
+    None for models without eccentricity.
+    """
+    if "eccentricity_mm" not in names:
+        return None
+    pick = np.array([name in ("baseline_mm", "eccentricity_mm") for name in names], dtype=float)
+    return float(pick @ values), float(np.sqrt(pick @ covariance @ pick))
+
+
+def _derived(names: Sequence[str], values: FloatArray, covariance: FloatArray) -> dict[str, Any]:
+    found = effective_baseline(names, values, covariance)
+    if found is None:
+        return {}
+    return {"derived": {"effective_baseline_mm": {"value": found[0], "std": found[1]}}}
+
+
+def robust_document(fit: RobustFit) -> dict[str, Any]:
+    """Return a model's robust fit."""
+    document = _estimate(fit.names, fit.values, fit.covariance)
+    for name, who, share in zip(fit.names, fit.identified_by, fit.data_share, strict=True):
+        document["parameters"][name] |= {"identified_by": who, "std_over_data_only_std": share}
+    return (
+        document
+        | _derived(fit.names, fit.values, fit.covariance)
+        | {
+            "residual_mrad": fit.residual_mrad,
+            "sigma_mrad": fit.sigma_mrad,
+            "outliers": list(fit.outliers),
+            "diagnostics": {
+                "noise_scale": fit.noise_scale,
+                "data_parameters": fit.data_parameters,
+                "standardised_residual": fit.standardised,
+                "evaluations": fit.evaluations,
+            },
+        }
+    )
+
+
+def posterior_document(p: Posterior) -> dict[str, Any]:
+    """Return a model's posterior, with what tells whether to believe it."""
+    document = _estimate(p.names, p.mean, p.covariance)
+    identified = (*p.identified_by, "both")
+    for i, name in enumerate(p.names):
+        low, middle, high = p.quantiles[i]
+        document["parameters"][name] |= {
+            "q2.5": low,
+            "q50": middle,
+            "q97.5": high,
+            "ess": p.ess_bulk[i],
+            "ess_tail": p.ess_tail[i],
+            "rhat": p.r_hat[i],
+            "identified_by": identified[i],
+        }
+    free = slice(0, len(p.names) - 1)
+    return (
+        document
+        | _derived(p.names[:-1], p.mean[free], p.covariance[free, free])
+        | {
+            "converged": p.converged,
+            "tau": dict(zip(p.names, p.tau, strict=True)),
+            "draws": len(p.flat),
+            "steps": p.steps,
+            "acceptance": p.acceptance,
+            "importance": {
+                "k_hat": p.k_hat,
+                "ess": p.importance_ess,
+                "mean": p.importance_mean,
+                "std": p.importance_std,
+                "agreement": p.agreement,
+                "agrees": p.agrees,
+            },
+        }
+    )

@@ -1,0 +1,171 @@
+"""results.h5: every array of a calibration, each with its unit and what it is."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import h5py
+import numpy as np
+
+from calib.core.arrays import FloatArray
+from calib.core.hdf5 import hdf5_bytes
+from calib.fit.identifiability import Identifiability
+from calib.fit.posterior import Posterior
+from calib.fit.robust import RobustFit
+from calib.geometry.parameters import INDEX, PARAMETERS
+from calib.results.calibration import Calibration, GazeResult
+from calib.rows.observations import Observations
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One array of results.h5.
+
+    Parameters
+    ----------
+    path
+        Group and name, with slashes.
+    values
+        The array, or texts.
+    units
+        Unit of the values; one for each column where they differ.
+    meaning
+        One phrase.
+    """
+
+    path: str
+    values: FloatArray | Sequence[str]
+    units: str | Sequence[str]
+    meaning: str
+
+
+def archive(calibration: Calibration) -> bytes:
+    """Return results.h5 of a calibration."""
+
+    def fill(file: h5py.File) -> None:
+        file.attrs["format"] = 1
+        file.attrs["dataset"] = calibration.name
+        file.attrs["dataset_sha256"] = calibration.sha256
+        file.attrs["seed"] = calibration.seed
+        for entry in entries(calibration):
+            texts = not isinstance(entry.values, np.ndarray)
+            data = np.array(entry.values, dtype=h5py.string_dtype()) if texts else entry.values
+            dataset = file.create_dataset(entry.path, data=data)
+            several = not isinstance(entry.units, str)
+            dataset.attrs["units"] = list(entry.units) if several else entry.units
+            dataset.attrs["meaning"] = entry.meaning
+
+    return hdf5_bytes(fill)
+
+
+def entries(calibration: Calibration) -> Iterator[Entry]:
+    """Yield all arrays of a calibration."""
+    if calibration.gaze is not None:
+        yield from _gaze(calibration.gaze)
+
+
+def _gaze(g: GazeResult) -> Iterator[Entry]:
+    yield from _rows("observations", g.rows)
+    if g.linear is not None:
+        yield Entry("fits/base/linear/values", g.linear.values, _units(g.linear.names), "estimate")
+        yield Entry("fits/base/linear/residual", g.linear.residual_mrad, "mrad", "of each row")
+    if g.convex is not None:
+        yield Entry("fits/base/convex/values", g.convex.values, _units(g.convex.names), "estimate")
+        yield Entry("fits/base/convex/residual", g.convex.residual_mrad, "mrad", "of each row")
+    for name, fit in g.robust.items():
+        yield from _robust(f"fits/{name}/robust", fit)
+    for name, posterior in g.posterior.items():
+        yield from _posterior(f"fits/{name}/posterior", posterior)
+    for name, told in g.identifiability.items():
+        yield from _identifiability(f"identifiability/{name}", told)
+    for score in g.comparison.scores if g.comparison is not None else ():
+        where = f"comparison/{score.model}"
+        meaning = "expected log predictive density of each row"
+        yield Entry(f"{where}/loo_pointwise", score.pointwise, "1", meaning)
+        yield Entry(f"{where}/pareto_k", score.pareto_k, "1", "Pareto shape of each row's weights")
+    yield from _depths(g)
+
+
+def _rows(where: str, rows: Observations) -> Iterator[Entry]:
+    yield Entry(f"{where}/id", rows.ids, "", "name of each row")
+    yield Entry(f"{where}/group", rows.groups, "", "rows that were left out together")
+    yield Entry(f"{where}/x1c", rows.x1c, "1", "normalised, undistorted coordinate in C1")
+    yield Entry(f"{where}/y1c", rows.y1c, "1", "normalised, undistorted coordinate in C1")
+    yield Entry(f"{where}/alpha2", rows.alpha2_rad, "rad", "encoder reading")
+    yield Entry(f"{where}/gaze_residual", rows.gaze_residual_rad, "rad", "from C2's image")
+    yield Entry(f"{where}/z", rows.z_mm, "mm", "reference depth")
+    units = ("1", "1", "rad", "rad", "mm")
+    meaning = "standard uncertainty of x1c, y1c, alpha2, gaze residual, z: each row's own part"
+    yield Entry(f"{where}/std", rows.std, units, meaning)
+    if rows.has_groups:
+        meaning = "rows of one number have their reference depth from one measurement"
+        yield Entry(f"{where}/z_group", rows.z_group.astype(float), "1", meaning)
+        meaning = "standard uncertainty of that measurement, a part of std of z"
+        yield Entry(f"{where}/u_z_group", rows.u_z_group_mm, "mm", meaning)
+    if rows.shared_names:
+        meaning = "effect of each shared standard-normal error on x1c, y1c, alpha2, residual, z"
+        yield Entry(f"{where}/shared", rows.shared, units, meaning)
+        yield Entry(f"{where}/shared_source", rows.shared_names, "", "of each shared error")
+
+
+def _units(names: Sequence[str]) -> list[str]:
+    """Return the units of parameters; the logarithm of the noise scale has 1."""
+    return [PARAMETERS[INDEX[name]].unit if name in INDEX else "1" for name in names]
+
+
+def _identifiability(where: str, told: Identifiability) -> Iterator[Entry]:
+    values = np.array([c.singular_value for c in told.combinations])
+    directions = np.array([c.direction for c in told.combinations])
+    units = _units(told.names)
+    yield Entry(f"{where}/names", told.names, "", "parameters, in the order of the other arrays")
+    yield Entry(f"{where}/scale", told.scale, units, "known of any rig beforehand")
+    meaning = "of the root of the rows' information, parameters in units of scale"
+    yield Entry(f"{where}/singular_values", values, "1", meaning)
+    yield Entry(f"{where}/directions", directions, "1", "singular directions, one a row")
+    yield Entry(f"{where}/correlation", told.correlation, "1", "with sweep and priors")
+    yield Entry(f"{where}/std_rows", told.rows_std, units, "from the rows alone")
+    yield Entry(f"{where}/std_rows_and_sweep", told.sweep_std, units, "with the yaw sweep")
+    yield Entry(f"{where}/std", told.std, units, "with sweep and priors")
+
+
+def _robust(where: str, fit: RobustFit) -> Iterator[Entry]:
+    units = _units(fit.names)
+    yield Entry(f"{where}/names", fit.names, "", "parameters, in the order of the other arrays")
+    yield Entry(f"{where}/values", fit.values, units, "estimate")
+    yield Entry(f"{where}/covariance", fit.covariance, units, "row by column, product of units")
+    yield Entry(f"{where}/residual", fit.residual_mrad, "mrad", "(num / z) - (x1c + cot a)")
+    yield Entry(f"{where}/standardised", fit.standardised, "1", "closure over stated uncertainty")
+
+
+def _posterior(where: str, p: Posterior) -> Iterator[Entry]:
+    units = _units(p.names)
+    yield Entry(f"{where}/names", p.names, "", "sampled quantities, last axis of the draws")
+    yield Entry(f"{where}/draws", p.draws, units, "ensembles x thinned draws x quantities")
+    yield Entry(f"{where}/covariance", p.covariance, units, "row by column, product of units")
+    yield Entry(f"{where}/ess_bulk", p.ess_bulk, "1", "effective draws in the bulk")
+    yield Entry(f"{where}/ess_tail", p.ess_tail, "1", "effective draws in the tails")
+    yield Entry(f"{where}/r_hat", p.r_hat, "1", "across independent ensembles")
+    yield Entry(f"{where}/tau", p.tau, "steps", "autocorrelation time")
+
+
+def _depths(g: GazeResult) -> Iterator[Entry]:
+    tables = []
+    if g.depths is not None:
+        yield Entry("depth_uncertainty/z", g.depths.depth_mm, "mm", "true depth of the target")
+        tables.append(("depth_uncertainty", g.depths.prediction))
+        for name, u in g.depths.sources_mm.items():
+            yield Entry(f"depth_uncertainty/sources/{name}", u, "mm", f"part of gum_u by {name}")
+    if g.validation is not None:
+        yield Entry("validation/id", g.validation.ids, "", "name of each row")
+        yield Entry("validation/position", g.validation.position_mm, "mm", "x, y, z in C1")
+        yield Entry(
+            "validation/reference", g.validation.reference_mm, "mm", "first reference depth"
+        )
+        tables.append(("validation", g.validation.prediction))
+    for where, p in tables:
+        yield Entry(f"{where}/measured", p.z_mm, "mm", "depth at the best estimates")
+        yield Entry(f"{where}/u", p.u_mm, "mm", "standard uncertainty, posterior predictive")
+        yield Entry(f"{where}/low95", p.low95_mm, "mm", "95 % interval")
+        yield Entry(f"{where}/high95", p.high95_mm, "mm", "95 % interval")
+        yield Entry(f"{where}/gum_u", p.gum_u_mm, "mm", "by the linear law of propagation")

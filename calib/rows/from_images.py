@@ -1,0 +1,189 @@
+"""Stage: what the images say of the rows of a table: target pixels, reference depths."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.core.arrays import FloatArray
+from calib.core.errors import EstimationError, InputError, Problem
+from calib.dataset.tables import GazeTable
+from calib.geometry.board import Board, Corners
+from calib.geometry.camera import Camera
+from calib.images.bundle import bowed, finite
+from calib.images.detection.grid import orient_like
+from calib.images.mrcal.solves import MIN_CORNERS
+from calib.images.pairs import single_view_pose
+from calib.images.stereo.reference import StereoReference
+from calib.images.stereo.solve import CameraPair
+from calib.images.stereo.triangulate import shared_names
+from calib.rows.common_errors import Shared
+from calib.rows.from_table import U_PIXEL, CameraSet, Sightings
+
+POSE = 6
+"""Unknowns of the pose of a board."""
+
+
+@dataclass(frozen=True)
+class CornerNoise:
+    """How well corners are found in the board images of each camera.
+
+    Parameters
+    ----------
+    c1_px, c2_px
+        Standard deviation of a coordinate, px.
+    warp_mm
+        Bow of the board along x and y, where a solve told it.
+    """
+
+    c1_px: float = U_PIXEL
+    c2_px: float = U_PIXEL
+    warp_mm: tuple[float, float] | None = None
+
+
+def shared_errors(rig: CameraPair, stereo: StereoReference | None) -> Shared:
+    """Return what all rows share: C1's and C2's intrinsics and, with stereo, 1T2."""
+    if stereo is not None:
+        targets = stereo.targets
+        return Shared.of(targets.shared_names, targets.shared_covariance)
+    names = shared_names(rig.cameras)
+    covariance = np.zeros((len(names), len(names)))
+    edge = 0
+    for block in rig.covariances:
+        covariance[edge : edge + len(block), edge : edge + len(block)] = block
+        edge += len(block)
+    return Shared.of(names, covariance)
+
+
+def sight(
+    table: GazeTable,
+    board: Board,
+    corners_c1: Corners | None,
+    corners_c2: Corners | None,
+    stereo: StereoReference | None,
+    shared: Shared,
+    noise: CornerNoise,
+    cameras: CameraSet,
+) -> Sightings:
+    """Return what the images of a table's rows say.
+
+    Parameters
+    ----------
+    corners_c1, corners_c2
+        Boards found in the images the rows name; None if they name none.
+    noise
+        Of the images for the intrinsics; that of the rows' own images counts where it is larger.
+    cameras
+        C1 and C2 as far as they are known.
+
+    Raises
+    ------
+    InputError
+        If the board was not found in an image that a row names, or its target corner is hidden.
+    EstimationError
+        If a row takes its depth from a pair that gave none.
+    """
+    views_c1 = _views(table.image_c1, corners_c1, board)
+    views_c2 = _views(table.image_c2, corners_c2, board)
+    views_c2 = orient_like(views_c1, views_c2, board)
+    pixel_c1, pixel_c2 = views_c1[:, board.target_index], views_c2[:, board.target_index]
+    _refuse_missing(table, table.image_c1, pixel_c1)
+    _refuse_missing(table, table.image_c2, pixel_c2)
+    z, u_z, by_common = _depths(table, stereo, shared)
+    return Sightings(
+        pixel_c1=pixel_c1,
+        pixel_c2=pixel_c2,
+        u_c1_px=_corner_noise(views_c1, board, cameras.c1, noise.warp_mm, least=noise.c1_px),
+        u_c2_px=_corner_noise(views_c2, board, cameras.c2, noise.warp_mm, least=noise.c2_px),
+        z_mm=z,
+        u_z_mm=u_z,
+        z_by_common=by_common,
+    )
+
+
+def _corner_noise(
+    views: FloatArray,
+    board: Board,
+    camera: Camera | None,
+    warp_mm: tuple[float, float] | None,
+    *,
+    least: float,
+) -> float:
+    """Return the standard deviation of a corner coordinate in the images of rows, px.
+
+    Targets stand farther off than boards for intrinsics, their squares are smaller, and corners are
+    found less well: on a ChArUco board of 25 px squares to 0.03 px instead of 0.011. What the poses
+    of the boards leave of the corners tells, in the median image.
+
+    Parameters
+    ----------
+    views
+        Corners, px, shape (n, corners, 2); NaN where not found.
+    least
+        What it is at least, px.
+    """
+    if camera is None:
+        return least
+    points = bowed(board.object_points(), warp_mm)
+    found = []
+    for view in views:
+        coordinates = 2 * int(finite(view).sum())
+        if coordinates >= 2 * MIN_CORNERS:
+            _, rms = single_view_pose(camera, points=points, pixels=view)
+            found.append(rms * np.sqrt(coordinates / (coordinates - POSE)))
+    return max(least, float(np.median(found))) if found else least
+
+
+def _views(names: tuple[str | None, ...], corners: Corners | None, board: Board) -> FloatArray:
+    """Return the board's corners in each row's image, (n, corners, 2); NaN without image."""
+    views = np.full((len(names), board.corner_count, 2), np.nan)
+    if corners is not None:
+        place = {name: i for i, name in enumerate(corners.images)}
+        for i, name in enumerate(names):
+            if name is not None:
+                views[i] = corners.pixels[place[name]]
+    return views
+
+
+def _refuse_missing(table: GazeTable, names: tuple[str | None, ...], pixels: FloatArray) -> None:
+    problems = [
+        Problem(
+            where=f"{table.file}, line {table.line[i]} (id {table.ids[i]})",
+            what=f"the board, or its target corner, was not found in {name}",
+            remedy="look at the picture: the whole board in view, sharp and evenly lit; check the "
+            "counts of [board]; or leave the row out",
+        )
+        for i, name in enumerate(names)
+        if name is not None and not np.isfinite(pixels[i]).all()
+    ]
+    if problems:
+        raise InputError(problems)
+
+
+def _depths(
+    table: GazeTable, stereo: StereoReference | None, shared: Shared
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return reference depths, their own standard uncertainty and shared loadings."""
+    n = len(table)
+    z, u = np.full(n, np.nan), np.full(n, np.nan)
+    by_common = np.zeros((n, shared.factor.shape[1]))
+    if stereo is None:
+        return z, u, by_common
+    targets = stereo.targets
+    place = {stem: i for i, stem in enumerate(targets.stems)}
+    kept = [targets.shared_names.index(name) for name in shared.names]
+    for i, stem in enumerate(table.stereo):
+        if stem is None:
+            continue
+        if stem not in place:
+            raise EstimationError(
+                f"{table.file}, line {table.line[i]} (id {table.ids[i]}): pair {stem} gave no "
+                "position: its board was not found in both images, or does not fit the other "
+                "pairs; leave the row out"
+            )
+        k = place[stem]
+        z[i] = targets.triangulated.position_mm[k, 2]
+        u[i] = np.sqrt(targets.triangulated.covariance[k, 2, 2])
+        by_common[i] = targets.triangulated.by_shared[k, 2, kept] @ shared.factor
+    return z, u, by_common

@@ -1,0 +1,182 @@
+"""Results on disk: atomic files, and stage results that are reused while nothing has changed."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from calib.core.errors import UsageError
+from calib.stages.call import call_stage, result_type
+from calib.stages.parallel import Request, processors, run_side_by_side
+from calib.stages.stage_file import Failure, is_intact, pack, read, sealed
+from calib.stages.step import Input, Staged, Step, given
+
+__all__ = ["Staged", "Step", "Store", "given", "replacing", "write_bytes"]
+
+CACHE = ".stages"
+LOCK = ".lock"
+PARTIAL = ".part"
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """Give a temporary path beside `path`; on success it takes that name, else it vanishes.
+
+    Raises
+    ------
+    UsageError
+        If the file cannot be written: no space, no permission.
+    """
+    try:
+        handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=PARTIAL, dir=path.parent)
+        os.close(handle)
+    except OSError as error:
+        raise _cannot_write(path, error) from error
+    temporary = Path(name)
+    try:
+        yield temporary
+        with temporary.open("rb") as written:
+            os.fsync(written.fileno())
+        temporary.chmod(0o644)
+        temporary.replace(path)
+    except OSError as error:
+        raise _cannot_write(path, error) from error
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _cannot_write(path: Path, error: OSError) -> UsageError:
+    reason = error.strerror or str(error)
+    return UsageError(f"{path}: cannot be written ({reason}); free space or choose another --out")
+
+
+def write_bytes(path: Path, content: bytes) -> None:
+    """Write a file so that its name never stands for half of it."""
+    with replacing(path) as temporary:
+        temporary.write_bytes(content)
+
+
+@dataclass
+class Store:
+    """The folder of one run's results.
+
+    Parameters
+    ----------
+    out
+        The folder; made if it is not there.
+    announce
+        Told the name of each stage that is about to run.
+    progress
+        Told how far a long stage is: name, steps done, steps expected.
+    """
+
+    out: Path
+    announce: Callable[[str], None] = lambda _: None
+    progress: Callable[[str, int, int], None] = lambda *_: None
+    durations: dict[str, float] = field(default_factory=dict)
+    reused: list[str] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        try:
+            (self.out / CACHE).mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise _cannot_write(self.out, error) from error
+
+    @contextmanager
+    def locked(self) -> Iterator[None]:
+        """Keep every other run out of the folder; the lock dies with the process.
+
+        Raises
+        ------
+        UsageError
+            If another run holds it.
+        """
+        try:
+            handle = (self.out / LOCK).open("w")
+        except OSError as error:
+            raise _cannot_write(self.out / LOCK, error) from error
+        with handle:
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError:
+                raise UsageError(
+                    f"{self.out}: another run is writing there; wait for it or choose another --out"
+                ) from None
+            self._clear_away()
+            yield
+
+    def _clear_away(self) -> None:
+        """Delete what runs that were killed left half-written."""
+        for folder in (self.out, self.out / CACHE):
+            for left in folder.glob(f".*{PARTIAL}"):
+                left.unlink(missing_ok=True)
+
+    def stage(self, name: str, target: str, *inputs: Input, **settings: Any) -> Staged[Any]:
+        """Return the outcome of a stage, computed now or reused; for the parameters see `Step`."""
+        return self._outcome(Step(name, target, inputs, settings))
+
+    def side_by_side(self, steps: Mapping[str, Step]) -> dict[str, Staged[Any]]:
+        """Return the outcomes of stages that do not need each other, by the keys of `steps`.
+
+        They are computed at the same time, as far as there are processors.
+        """
+        missing = [s for s in steps.values() if not self._has(s) and s.failed is None]
+        workers = min(len(missing), processors())
+        if workers > 1:
+            self._run_side_by_side(missing, workers)
+        return {key: self._outcome(step) for key, step in steps.items()}
+
+    def _outcome(self, step: Step) -> Staged[Any]:
+        """Return the outcome of a step, computed here and now if there is none."""
+        if self._has(step):
+            if step.name not in self.durations:
+                self.reused.append(step.name)
+            path = self._path(step)
+            return Staged(step.name, step.fingerprint, lambda: read(path, result_type(step.target)))
+        started = self._announced(step.name)
+        outcome = (
+            call_stage(step.target, step.name, step.values(), step.settings, self.progress)
+            if step.failed is None
+            else Failure(step.failed)
+        )
+        self._keep(step, pack(outcome), started)
+        return Staged(step.name, step.fingerprint, lambda: outcome)
+
+    def _run_side_by_side(self, steps: Sequence[Step], workers: int) -> None:
+        """Compute steps in processes of their own and keep each outcome as it comes."""
+        by_name = {step.name: step for step in steps}
+        starts: dict[str, float] = {}
+
+        def started(name: str) -> None:
+            starts[name] = self._announced(name)
+
+        requests = [
+            Request(s.name, s.target, tuple(map(pack, s.values())), s.settings) for s in steps
+        ]
+        outcomes = run_side_by_side(
+            requests, workers=workers, started=started, progress=self.progress
+        )
+        with closing(outcomes):
+            for name, content in outcomes:
+                self._keep(by_name[name], content, starts[name])
+
+    def _announced(self, name: str) -> float:
+        self.announce(name)
+        return time.perf_counter()
+
+    def _path(self, step: Step) -> Path:
+        return self.out / CACHE / (step.name.replace("/", "--") + ".h5")
+
+    def _has(self, step: Step) -> bool:
+        return is_intact(self._path(step), step.fingerprint)
+
+    def _keep(self, step: Step, content: bytes, started: float) -> None:
+        write_bytes(self._path(step), sealed(step.fingerprint, content))
+        self.durations[step.name] = time.perf_counter() - started

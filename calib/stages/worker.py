@@ -1,0 +1,61 @@
+"""Computes the stages asked for on standard input, until it ends: ``python -m`` of this module.
+
+Whoever started it handles Ctrl-C. A parent that has died is noticed at the next word to it.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import traceback
+from typing import IO, Any
+
+from calib.core.errors import CalibError
+from calib.stages.message import receive, send
+
+
+def serve(requests: IO[bytes], replies: IO[bytes]) -> None:
+    """Answer each request: messages of progress, then one that ends it."""
+    # It takes half a second and is not needed to be told to stop.
+    from calib.stages.call import call_stage, input_types
+    from calib.stages.stage_file import pack, unpack
+
+    def progress(_: str, done: int, expected: int) -> None:
+        send(replies, {"is": "progress", "steps": [done, expected]})
+
+    def answer(header: dict[str, Any], content: bytes) -> bytes:
+        target, sizes = header["target"], header["sizes"]
+        inputs: list[Any] = []
+        for size, kind in zip(sizes, input_types(target, len(sizes)), strict=True):
+            inputs.append(unpack(content[:size], kind))
+            content = content[size:]
+        return pack(call_stage(target, header["name"], inputs, header["settings"], progress))
+
+    while (request := receive(requests)) is not None:
+        try:
+            ending, content = "outcome", answer(*request)
+        except BrokenPipeError:
+            raise
+        except CalibError as error:
+            ending, content = "refusal", str(error).encode()
+        except Exception:
+            ending, content = "defect", traceback.format_exc().encode()
+        send(replies, {"is": ending}, content)
+
+
+def main() -> None:
+    """Serve, with all that libraries may print kept out of the replies."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
+    replies = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
+    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
+    try:
+        serve(sys.stdin.buffer, replies)
+    except BrokenPipeError:
+        # Nobody is left to be told; nor can what is buffered be sent at exit.
+        os._exit(1)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,149 @@
+"""Drift between runs. Evidence: simulated changes of known size, repeated draws, properties."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calib.cli.compare import add_arguments, run
+from calib.core.errors import UsageError
+from calib.history.drift import FAMILY_RISK, Run, drift
+from calib.history.output import html, tables, text
+from calib.instrument.calibration_file import Measuring
+from calib.rows.common_errors import Shared
+from calib.rows.from_table import CameraSet, RowSettings, Setup
+from calib.uncertainty.measurement import Instrument, ParameterKnowledge, ReadingSpread
+
+NAMES = ("baseline_mm", "delta2_rad", "axis_z_mm", "eccentricity_mm")
+TRUTH = np.array([120.0, 0.01, -20.0, 3.0])
+# L_b and e as gaze rows leave them: correlation -0.998, their sum known to 0.4 mm.
+STD = np.array([6.0, 5e-4, 1.0, 6.0])
+CORRELATION = np.eye(4)
+CORRELATION[0, 3] = CORRELATION[3, 0] = -0.998
+COVARIANCE = CORRELATION * np.outer(STD, STD)
+
+
+def made(values: np.ndarray, name: str = "run", model: str = "axis-offset") -> Run:
+    knowledge = ParameterKnowledge(NAMES, values, COVARIANCE, None, ("A",) * 4)
+    measuring = Measuring(
+        instrument=Instrument(knowledge, ReadingSpread()),
+        setup=Setup(RowSettings(0, 0, 0, 0, 0), CameraSet(), Shared()),
+        noise_factor=1.0,
+        calibrated_mm=(600.0, 1400.0),
+        factor95=1.96,
+    )
+    return Run(name, "rig", model, measuring, {"eccentricity_mm": "prior"}, {"loo": 12.0})
+
+
+def test_a_rig_that_has_not_changed_is_called_so() -> None:
+    """400 pairs of runs: false alarms of single changes stay below their 5 %, of all together at 5.
+
+    Bonferroni on eight tests, of which L_b + e and the depths are correlated, is conservative; the
+    joint test is exact: 20 of 400 expected, 4.4 their standard deviation.
+    """
+    rng = np.random.default_rng(0)
+    single = together = 0
+    for _ in range(400):
+        first, other = (made(rng.multivariate_normal(TRUTH, COVARIANCE)) for _ in range(2))
+        found = drift(first, other)
+        single += any(change.significant for change in found.changes)
+        together += found.p_value is not None and found.p_value < FAMILY_RISK
+    assert single <= 20 + 2 * 4.4
+    assert together == pytest.approx(20, abs=3 * 4.4)
+
+
+def test_a_change_that_single_parameters_hide_is_found() -> None:
+    """L_b alone moves by 4 mm: less than its own 6, ten times what L_b + e is known to."""
+    moved = TRUTH + np.array([4.0, 0, 0, 0])
+    found = drift(made(TRUTH), made(moved))
+    by_name = {change.what: change for change in found.changes}
+    assert not by_name["baseline_mm"].significant
+    assert by_name["effective_baseline_mm"].significant
+    assert by_name["effective_baseline_mm"].difference == pytest.approx(4.0)
+    assert by_name["eccentricity_mm"].note == "decided by its prior"
+    assert found.p_value is not None
+    assert found.p_value < 1e-6
+    depth = by_name["reading of 1000 mm"]
+    assert depth.significant
+    # z (x + cot a) = L_b + ..., so z grows as L_b does: 4 in 120 + Z_a cot a + e.
+    assert depth.difference == pytest.approx(1000 * 4 / 123, rel=0.2)
+
+
+def test_runs_of_different_models_compare_what_means_the_same() -> None:
+    other = replace(made(TRUTH), model="encoder")
+    found = drift(made(TRUTH), other)
+    assert {c.what for c in found.changes if not c.what.startswith("reading")} == {
+        "effective_baseline_mm"
+    }
+    assert found.p_value is None
+    assert not found.significant
+
+
+def test_tables_say_the_same_as_text_and_html() -> None:
+    runs = [made(TRUTH, "monday & tuesday"), made(TRUTH + np.array([4.0, 0, 0, 0]), "wednesday")]
+    found = tables(runs, [drift(*runs)])
+    page, plain = html(found), text(found)
+    assert "monday &amp; tuesday" in page
+    assert "monday & tuesday" in plain
+    for piece in ("a significant change", "decided by its prior", "+4 mm"):
+        assert piece in page
+        assert piece in plain
+    assert "http" not in page
+
+
+def test_a_run_beside_itself_has_changed_by_a_plain_nought() -> None:
+    same = made(TRUTH)
+    found = drift(same, same)
+    assert {change.difference for change in found.changes} == {0.0}
+    (_, rows) = tables([same, same], [found])[-1]
+    assert {row[1].split()[0] for row in rows[1:]} == {"0"}
+    assert {row[3] for row in rows[1:]} == {"0"}
+
+
+def compare(*arguments: str) -> int:
+    parser = argparse.ArgumentParser()
+    add_arguments(parser)
+    return run(parser.parse_args(arguments))
+
+
+def calibration(folder: Path, baseline: float) -> Path:
+    """A calibration.json with what the comparison reads."""
+    folder.mkdir()
+    spread = {"normal": 1e-4, "width": 0.0}
+    document = {
+        "format": 1,
+        "dataset": {"name": "rig"},
+        "measurement": {
+            "model": "axis-offset",
+            "names": list(NAMES),
+            "values": [baseline, *TRUTH[1:]],
+            "covariance": COVARIANCE.tolist(),
+            "reading": dict.fromkeys(("x1c", "y1c", "alpha2_rad", "gaze_residual_rad"), spread),
+            "stated": {"u_x1c": 1e-4, "encoder_step_rad": 0.0, "u_alpha2_rad": 1e-4},
+            "noise_factor": 1.0,
+            "calibrated_depth_mm": [600.0, 1400.0],
+            "factor95": 1.96,
+        },
+        "comparison": [{"model": "axis-offset", "loo": 30.5}],
+    }  # fmt: skip
+    (folder / "calibration.json").write_text(json.dumps(document))
+    return folder
+
+
+def test_command_reads_runs_and_writes_a_page(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    first, other = calibration(tmp_path / "a", 120.0), calibration(tmp_path / "b", 124.0)
+    page = tmp_path / "drift.html"
+    assert compare(str(first), str(other / "calibration.json"), "--out", str(page)) == 0
+    printed = capsys.readouterr().out
+    assert "effective_baseline_mm" in printed
+    assert "30.5" in printed
+    assert page.read_text().endswith("</html>\n")
+    with pytest.raises(UsageError, match="two runs"):
+        compare(str(first))

@@ -11,21 +11,30 @@ import numpy as np
 
 from calib.chain.images import ImageStages, image_stages, sightings
 from calib.chain.outputs import write_outputs
-from calib.chain.rows import gaze_rows, setup_stage
+from calib.chain.rows import gaze_rows, gaze_setup, validation_setup
+from calib.checks.encoder_direction import check_sense
 from calib.checks.stereo_pose import told_by_pairs
 from calib.checks.verdict import all_gates, all_warnings, disagreements
 from calib.dataset.contents import Dataset
 from calib.dataset.tables import LengthTable
-from calib.fit.posterior import Posterior
+from calib.fit.compare import compare_models
+from calib.fit.convex import fit_convex
+from calib.fit.group_check import check_groups
+from calib.fit.identifiability import identifiability
+from calib.fit.linear import fit_linear
+from calib.fit.posterior import Posterior, sample_posterior
 from calib.fit.priors import Priors
-from calib.fit.robust import RobustFit
+from calib.fit.robust import RobustFit, fit_model
 from calib.geometry.parameters import MODELS
+from calib.instrument.averaging import build_average
+from calib.instrument.calibrated import build_instrument, measure_validation, tabulate_depths
+from calib.instrument.evidence import gather_evidence
 from calib.results.calibration import Calibration, GazeResult
 from calib.results.manifest import run_fingerprint
-from calib.rows.from_table import ValidationRows, row_settings, validation_settings
+from calib.rows.from_table import ValidationRows, observe_validation
 from calib.rows.observations import Observations
 from calib.rows.repeated_readings import repeats_told
-from calib.stages.store import Staged, Step, Store, given
+from calib.stages.store import Staged, Store, gather, given, optional, stage
 
 
 @dataclass(frozen=True)
@@ -122,23 +131,20 @@ def _gaze_chain(
     rows: Staged[Observations],
 ) -> GazeResult:
     """From gaze rows to the calibrated instrument and what it measures."""
-    stage = store.stage
+    run = store.run
     stated = {name: (prior.mean, prior.std) for name, prior in dataset.manifest.priors.items()}
     priors = given("priors", Priors(stated, images.measured()))
     # fmt: off
-    sense = stage("sense", "calib.checks.encoder_direction:check_sense", rows)
-    linear = stage("base/linear", "calib.fit.linear:fit_linear", rows)
-    convex = stage("base/convex", "calib.fit.convex:fit_convex", rows)
-    robust = {model: stage(f"{model}/robust", "calib.fit.robust:fit_model",
-                           rows, priors, model=model) for model in MODELS}
+    sense = run(stage("sense", check_sense, rows))
+    linear = run(stage("base/linear", fit_linear, rows))
+    convex = run(stage("base/convex", fit_convex, rows))
+    robust = {model: run(stage(f"{model}/robust", fit_model, rows, priors, model=model))
+              for model in MODELS}
     # fmt: on
     posterior = store.side_by_side(
         {
-            model: Step(
-                f"{model}/posterior",
-                "calib.fit.posterior:sample_posterior",
-                (rows, fit, priors),
-                {"seed": options.seed},
+            model: stage(
+                f"{model}/posterior", sample_posterior, rows, fit, priors, seed=options.seed
             )
             for model, fit in robust.items()
             if fit.failed is None
@@ -159,9 +165,11 @@ def _gaze_chain(
     if not result.posterior:
         return result
     fits = {name: robust[name] for name in result.posterior}
-    told = {name: stage(f"{name}/identifiability", "calib.fit.identifiability:identifiability",
-                        rows, fit, priors) for name, fit in fits.items()}  # fmt: skip
-    result = replace(result, identifiability={name: s.value for name, s in told.items()})
+    identified = {
+        name: run(stage(f"{name}/identifiability", identifiability, rows, fit, priors))
+        for name, fit in fits.items()
+    }
+    result = replace(result, identifiability={name: s.value for name, s in identified.items()})
     chains = {name: posterior[name] for name in result.posterior}
     fitted = _Fitted(rows, priors, fits, chains)
     return _measure(dataset, options, store, images, fitted, result)
@@ -186,32 +194,32 @@ def _measure(
     result: GazeResult,
 ) -> GazeResult:
     """Select a model and find what the instrument then measures."""
-    stage, seed, rows, priors = store.stage, options.seed, fitted.rows, fitted.priors
+    run, seed, rows, priors = store.run, options.seed, fitted.rows, fitted.priors
+    fits, posteriors = gather(fitted.robust), gather(fitted.posterior)
     validation = _validation(dataset, store, images)
     references = rows.value.z_mm
     if validation is not None:
         references = np.append(references, validation.value.rows.z_mm)
     low, high = options.depths_mm or (float(references.min()), float(references.max()))
-    setup = setup_stage(store, images, "gaze", row_settings(dataset))
+    setup = given("setup", gaze_setup(dataset, images))
     # fmt: off
-    comparison = stage("comparison", "calib.fit.compare:compare_models",
-                       rows, fitted.robust, fitted.posterior, priors, validation, seed=seed)
+    comparison = run(stage("comparison", compare_models,
+                           rows, fits, posteriors, priors, optional(validation), seed=seed))
     selected = comparison.value.selected
-    groups = stage("groups", "calib.fit.group_check:check_groups", rows, fitted.robust[selected])
-    calibrated = stage("instrument", "calib.instrument.calibrated:build_instrument",
-                       fitted.posterior[selected], fitted.robust[selected], rows, setup)
-    depths = stage("depths", "calib.instrument.calibrated:tabulate_depths",
-                   calibrated, low_mm=low, high_mm=high, seed=seed)
-    average = stage("average", "calib.instrument.averaging:build_average",
-                    fitted.posterior, fitted.robust, comparison, rows, setup, calibrated, depths,
-                    seed=seed)
+    groups = run(stage("groups", check_groups, rows, fitted.robust[selected]))
+    calibrated = run(stage("instrument", build_instrument,
+                           fitted.posterior[selected], fitted.robust[selected], rows, setup))
+    depths = run(stage("depths", tabulate_depths,
+                       calibrated, low_mm=low, high_mm=high, seed=seed))
+    average = run(stage("average", build_average,
+                        posteriors, fits, comparison, rows, setup, calibrated, depths, seed=seed))
     measured = None
     if validation is not None:
-        measured = stage("validation", "calib.instrument.calibrated:measure_validation",
-                         calibrated, validation, fitted.robust, seed=seed)
-    evidence = stage("certified depths", "calib.instrument.evidence:gather_evidence",
-                     calibrated, rows, validation, measured, _lengths(dataset),
-                     seed=seed, **_certified(dataset))
+        measured = run(stage("validation", measure_validation,
+                             calibrated, validation, fits, seed=seed))
+    evidence = run(stage("certified depths", gather_evidence,
+                         calibrated, rows, optional(validation), optional(measured),
+                         optional(_lengths(dataset)), seed=seed, **_certified(dataset)))
     # fmt: on
     return replace(
         result,
@@ -246,10 +254,11 @@ def _validation(
     table = dataset.validation
     if table is None:
         return None
-    setup = setup_stage(store, images, "validation", validation_settings(dataset))
+    setup = given("setup", validation_setup(dataset, images))
     seen = sightings(dataset, table, store, images)
-    rows: Staged[ValidationRows] = store.stage(
-        "validation rows", "calib.rows.from_table:observe_validation",
-        given("validation", table), setup, seen,
-    )  # fmt: skip
+    rows = store.run(
+        stage(
+            "validation rows", observe_validation, given("validation", table), setup, optional(seen)
+        )
+    )
     return rows if rows.failed is None else None

@@ -15,7 +15,8 @@ from calib.dataset.contents import Dataset
 from calib.dataset.tables import GazeTable
 from calib.fit.priors import Measured
 from calib.geometry.board import Corners
-from calib.images.contact_sheet import ContactSheet, Pictures
+from calib.images import stages as images_stages
+from calib.images.contact_sheet import ContactSheet, Pictures, contact_sheet
 from calib.images.intrinsics.calibrate import Intrinsics
 from calib.images.result import ImageResult
 from calib.images.stages import (
@@ -24,19 +25,18 @@ from calib.images.stages import (
     KnownCamera,
     Pairs,
     SweepInput,
+    find_corners,
 )
 from calib.images.stereo.reference import StereoReference
 from calib.images.stereo.solve import CameraPair
 from calib.images.sweep.solve import SweepReadings
 from calib.images.sweep.yaw_axis import SweepResult
 from calib.rows.common_errors import Shared
-from calib.rows.from_images import CornerNoise
+from calib.rows.from_images import CornerNoise, shared_errors, sight
 from calib.rows.from_table import CameraSet, Sightings
-from calib.stages.store import Staged, Step, Store, given
+from calib.stages.store import Staged, Store, given, optional, stage
 
 CAMERAS = ("c1", "c2")
-
-STAGES = "calib.images.stages"
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class ImageStages:
     intrinsics: Mapping[str, Staged[Intrinsics]]
     stereo: Staged[StereoReference] | None
     sweep: Staged[SweepResult] | None
-    cameras: Staged[CameraSet]
+    cameras: CameraSet
     shared: Staged[Shared]
 
     def failures(self) -> dict[str, str]:
@@ -87,42 +87,40 @@ def image_stages(dataset: Dataset, store: Store, seed: int) -> ImageStages:
             continue
         known = {n: c for n, c in dataset.corner_cache.items() if n in pictures.names}
         asked = given(f"pictures {camera}", pictures)
-        corners[camera] = store.stage(
-            f"corners {camera}", f"{STAGES}:find_corners",
-            folder, asked, board, given("known corners", Known(known)), detector=_detector(dataset),
-        )  # fmt: skip
-        sheets[camera] = store.stage(
-            f"contact sheet {camera}",
-            "calib.images.contact_sheet:contact_sheet",
-            folder,
-            asked,
-            corners[camera],
-        )
+        cached = given("known corners", Known(known))
+        # fmt: off
+        corners[camera] = store.run(stage(
+            f"corners {camera}", find_corners,
+            folder, asked, board, cached, detector=_detector(dataset),
+        ))
+        sheets[camera] = store.run(stage(
+            f"contact sheet {camera}", contact_sheet, folder, asked, corners[camera],
+        ))
+        # fmt: on
     intrinsics = store.side_by_side(
         {
-            camera: Step(
-                f"intrinsics {camera}",
-                f"{STAGES}:intrinsics",
-                (corners[camera], given("views", Chosen(images)), board),
-                {"camera": camera, "seed": seed},
+            camera: stage(
+                f"intrinsics {camera}", images_stages.intrinsics,
+                corners[camera], given("views", Chosen(images)), board, camera=camera, seed=seed,
             )
             for camera, images in dataset.images.items()
+            if board is not None
         }
-    )
-    rig = _rig(dataset, store, intrinsics)
+    )  # fmt: skip
+    rig = _rig(dataset, intrinsics)
     stereo = _stereo(dataset, store, corners, board, rig, seed)
     sweep = _sweep(dataset, store, corners, board, intrinsics, stereo)
     shared = given("shared errors", Shared())
     if rig is not None:
         good = stereo if stereo is not None and stereo.failed is None else None
-        shared = store.stage("shared errors", "calib.rows.from_images:shared_errors", rig, good)
+        shared = store.run(stage("shared errors", shared_errors, rig, optional(good)))
     return ImageStages(
         corners=corners,
         sheets=sheets,
         intrinsics=intrinsics,
         stereo=stereo,
         sweep=sweep,
-        cameras=given("cameras", _camera_set(dataset, intrinsics)),
+        cameras=_camera_set(dataset, intrinsics),
         shared=shared,
     )
 
@@ -138,13 +136,14 @@ def sightings(
     fits = {name: fit.selected for name, fit in noise.items() if fit is not None}
     rms = {f"{name}_px": fit.rms_px for name, fit in fits.items()}
     warps = [fit.board_warp_mm for fit in fits.values() if fit.board_warp_mm is not None]
-    return store.stage(
-        f"sightings {table.file}", "calib.rows.from_images:sight",
+    known = CornerNoise(**rms, warp_mm=warps[0] if warps else None)
+    return store.run(stage(
+        f"sightings {table.file}", sight,
         given("table", table), given("board", dataset.board),
-        images.corners.get("c1"), images.corners.get("c2"), images.stereo, images.shared,
-        given("corner noise", CornerNoise(**rms, warp_mm=warps[0] if warps else None)),
-        images.cameras,
-    )  # fmt: skip
+        optional(images.corners.get("c1")), optional(images.corners.get("c2")),
+        optional(images.stereo), images.shared, given("corner noise", known),
+        given("cameras", images.cameras),
+    ))  # fmt: skip
 
 
 def _pictures(dataset: Dataset, camera: str) -> Pictures | None:
@@ -203,13 +202,16 @@ def _camera_set(dataset: Dataset, intrinsics: Mapping[str, Staged[Intrinsics]]) 
 
 
 def _rig(
-    dataset: Dataset, store: Store, intrinsics: Mapping[str, Staged[Intrinsics]]
+    dataset: Dataset, intrinsics: Mapping[str, Staged[Intrinsics]]
 ) -> Staged[CameraPair] | None:
     """Return both cameras, if both are known and pictures are taken with them."""
     c1, c2 = (_known_camera(dataset, intrinsics, name) for name in CAMERAS)
     if c1 is None or c2 is None or dataset.board is None:
         return None
-    return store.stage("camera pair", f"{STAGES}:camera_pair", c1, c2)
+    both = c1.value, c2.value
+    return given("camera pair", CameraPair(
+        (both[0].camera, both[1].camera), (both[0].covariance, both[1].covariance)
+    ))  # fmt: skip
 
 
 def _stereo(
@@ -221,7 +223,7 @@ def _stereo(
     seed: int,
 ) -> Staged[StereoReference] | None:
     stated = dataset.manifest.stereo
-    if stated is None or rig is None or not dataset.stereo_pairs:
+    if stated is None or rig is None or board is None or not dataset.stereo_pairs:
         return None
     stems = tuple(dataset.stereo_pairs)
     pairs = Pairs(
@@ -230,10 +232,10 @@ def _stereo(
         images_c2=tuple(dataset.stereo_pairs[s][1] for s in stems),
         transform_12=None if stated.transform is None else _matrix(stated.transform),
     )
-    return store.stage(
-        "stereo", f"{STAGES}:stereo",
+    return store.run(stage(
+        "stereo", images_stages.stereo,
         corners["c1"], corners["c2"], given("pairs", pairs), board, rig, seed=seed,
-    )  # fmt: skip
+    ))  # fmt: skip
 
 
 def _matrix(rows: Any) -> FloatArray:
@@ -250,7 +252,7 @@ def _sweep(
 ) -> Staged[SweepResult] | None:
     table, encoder = dataset.sweep, dataset.manifest.encoder
     c2 = _known_camera(dataset, intrinsics, "c2")
-    if table is None or encoder is None or c2 is None:
+    if table is None or encoder is None or board is None or c2 is None:
         return None
     readings = SweepReadings(
         alpha2_rad=np.array(table.alpha2_rad),
@@ -261,6 +263,7 @@ def _sweep(
     priors = {name: (prior.mean, prior.std) for name, prior in dataset.manifest.priors.items()}
     asked = SweepInput(table.image_c2, readings, priors)
     good = stereo if stereo is not None and stereo.failed is None else None
-    return store.stage(
-        "sweep", f"{STAGES}:sweep", corners["c2"], given("sweep", asked), board, c2, good
-    )
+    return store.run(stage(
+        "sweep", images_stages.sweep,
+        corners["c2"], given("sweep", asked), board, c2, optional(good),
+    ))  # fmt: skip

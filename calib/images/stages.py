@@ -90,11 +90,6 @@ class KnownCamera:
     covariance: FloatArray
 
 
-def camera_pair(c1: KnownCamera | Intrinsics, c2: KnownCamera | Intrinsics) -> CameraPair:
-    """Return both cameras as the later stages need them."""
-    return CameraPair((c1.camera, c2.camera), (c1.covariance, c2.covariance))
-
-
 @dataclass(frozen=True)
 class Pairs:
     """Stereo pairs: stem and the images of C1 and C2; 1T2 where it is given."""

@@ -76,7 +76,7 @@ def from_images(dataset: Dataset, store: Store) -> SoFar:
         stereo = None if images.stereo is None else images.stereo.get()
         return SoFar(
             rows=rows,
-            cameras=images.cameras.value,
+            cameras=images.cameras,
             measured=images.measured(),
             baseline_mm=None if stereo is None else float(stereo.transform_12[0, 3]),
         )

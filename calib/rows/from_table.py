@@ -113,11 +113,6 @@ class Setup:
     shared: Shared = field(default_factory=Shared)
 
 
-def set_up(settings: RowSettings, cameras: CameraSet, shared: Shared) -> Setup:
-    """Return what holds for all rows, as one input of later stages."""
-    return Setup(settings, cameras, shared)
-
-
 @dataclass(frozen=True)
 class ValidationRows:
     """Rows that were never used to fit, with their references.

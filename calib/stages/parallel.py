@@ -41,7 +41,7 @@ _ENVIRONMENT = {
 
 @dataclass(frozen=True)
 class Request:
-    """A stage to compute, see `calib.stages.call.call_stage`; the inputs are packed."""
+    """A stage to compute, by its address (see `calib.stages.call`); the inputs are packed."""
 
     name: str
     target: str

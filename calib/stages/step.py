@@ -6,7 +6,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from hashlib import sha256
-from typing import Any, Generic, TypeAlias, TypeVar
+from inspect import signature
+from typing import Any, Concatenate, Generic, TypeVar, overload
 
 from calib.core.errors import EstimationError
 from calib.stages.fingerprint import code_fingerprint, digest
@@ -14,26 +15,27 @@ from calib.stages.serialise import take_apart
 from calib.stages.stage_file import Failure
 
 T = TypeVar("T")
+T_co = TypeVar("T_co", covariant=True)
 
 
 @dataclass
-class Staged(Generic[T]):
+class Staged(Generic[T_co]):
     """A stage's outcome: its fingerprint now, its value when it is asked for."""
 
     name: str
     fingerprint: str
-    _load: Callable[[], T | Failure]
-    _loaded: list[T | Failure] = field(default_factory=list)
+    _load: Callable[[], T_co | Failure]
+    _loaded: list[T_co | Failure] = field(default_factory=list)
 
     @property
-    def outcome(self) -> T | Failure:
+    def outcome(self) -> T_co | Failure:
         """The value, or why there is none."""
         if not self._loaded:
             self._loaded.append(self._load())
         return self._loaded[0]
 
     @property
-    def value(self) -> T:
+    def value(self) -> T_co:
         """The value.
 
         Raises
@@ -46,7 +48,7 @@ class Staged(Generic[T]):
             raise EstimationError(outcome.reason)
         return outcome
 
-    def get(self) -> T | None:
+    def get(self) -> T_co | None:
         """Return the value, or None if the stage failed."""
         outcome = self.outcome
         return None if isinstance(outcome, Failure) else outcome
@@ -67,63 +69,121 @@ def given(name: str, value: T) -> Staged[T]:
     return Staged(name, digest(document, contents), lambda: value)
 
 
-Input: TypeAlias = Staged[Any] | Mapping[str, Staged[Any]] | None
+def gather(stages: Mapping[str, Staged[T]]) -> Staged[Mapping[str, T]]:
+    """Return stages of one kind, by name, as one input."""
+    failed = next((s for s in stages.values() if s.failed is not None), None)
+
+    def values() -> Mapping[str, T] | Failure:
+        if failed is not None:
+            return Failure(str(failed.failed))
+        return {name: stage.value for name, stage in stages.items()}
+
+    return Staged("gathered", digest({n: s.fingerprint for n, s in stages.items()}), values)
 
 
-def _input_fingerprint(source: Input) -> Any:
-    if isinstance(source, Mapping):
-        return {name: staged.fingerprint for name, staged in source.items()}
-    return None if source is None else source.fingerprint
-
-
-def _input_failed(source: Input) -> str | None:
-    if isinstance(source, Mapping):
-        return next((s.failed for s in source.values() if s.failed is not None), None)
-    return None if source is None else source.failed
-
-
-def _input_value(source: Input) -> Any:
-    if isinstance(source, Mapping):
-        return {name: staged.value for name, staged in source.items()}
-    return None if source is None else source.value
+def optional(stage: Staged[T] | None) -> Staged[T | None]:
+    """Return an input that a dataset may have no data for; its value is None then."""
+    return Staged("absent", digest(None), lambda: None) if stage is None else stage
 
 
 @dataclass(frozen=True)
-class Step:
-    """A stage to come.
+class Step(Generic[T]):
+    """A stage to come; `stage` makes one.
 
     Parameters
     ----------
     name
         Key of the result, with slashes.
-    target
-        ``module:function``; imported only if the stage has to run. The function's annotations are
-        the types in which inputs and result are stored.
+    function
+        A public function of a module, so that a process of its own can import it too. Its
+        annotations are the types in which inputs and result are stored.
     inputs
-        Passed by position; a mapping of stages as a mapping of their values.
+        Passed by position.
     settings
         JSON-able; passed by keyword. A setting ``seed`` arrives as a SeedSequence that no other
         stage shares; a function that takes ``progress`` gets the store's.
     """
 
     name: str
-    target: str
-    inputs: tuple[Input, ...]
+    function: Callable[..., T]
+    inputs: tuple[Staged[Any], ...]
     settings: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        # Also where the outcome is reused: a misspelt setting must not wait for a change of data.
+        called = signature(self.function)
+        from_store = {"progress"} & called.parameters.keys()
+        called.bind(*self.inputs, **self.settings, **dict.fromkeys(from_store))
 
     @cached_property
     def fingerprint(self) -> str:
         """Of all that the outcome depends on: inputs, settings and the code of the stage."""
-        module, function = self.target.split(":")
-        sources = [_input_fingerprint(source) for source in self.inputs]
-        code = code_fingerprint(module)
-        return digest(self.name, function, code, sources, dict(self.settings))
+        sources = [source.fingerprint for source in self.inputs]
+        code = code_fingerprint(self.function.__module__)
+        return digest(self.name, self.function.__qualname__, code, sources, dict(self.settings))
 
     @property
     def failed(self) -> str | None:
         """Why an input has no value, and so no outcome can be computed, or None."""
-        return next((f for source in self.inputs if (f := _input_failed(source)) is not None), None)
+        return next((s.failed for s in self.inputs if s.failed is not None), None)
 
     def values(self) -> list[Any]:
         """Return the values of the inputs; none may have failed."""
-        return [_input_value(source) for source in self.inputs]
+        return [source.value for source in self.inputs]
+
+
+A = TypeVar("A")
+B = TypeVar("B")
+C = TypeVar("C")
+D = TypeVar("D")
+E = TypeVar("E")
+F = TypeVar("F")
+G = TypeVar("G")
+H = TypeVar("H")
+J = TypeVar("J")
+
+
+# fmt: off
+@overload
+def stage(name: str, function: Callable[Concatenate[A, ...], T], a: Staged[A], /,
+          **settings: Any) -> Step[T]: ...
+@overload
+def stage(name: str, function: Callable[Concatenate[A, B, ...], T], a: Staged[A], b: Staged[B], /,
+          **settings: Any) -> Step[T]: ...
+@overload
+def stage(name: str, function: Callable[Concatenate[A, B, C, ...], T],
+          a: Staged[A], b: Staged[B], c: Staged[C], /, **settings: Any) -> Step[T]: ...
+@overload
+def stage(name: str, function: Callable[Concatenate[A, B, C, D, ...], T],
+          a: Staged[A], b: Staged[B], c: Staged[C], d: Staged[D], /,
+          **settings: Any) -> Step[T]: ...
+@overload
+def stage(name: str, function: Callable[Concatenate[A, B, C, D, E, ...], T],
+          a: Staged[A], b: Staged[B], c: Staged[C], d: Staged[D], e: Staged[E], /,
+          **settings: Any) -> Step[T]: ...
+@overload
+def stage(name: str, function: Callable[Concatenate[A, B, C, D, E, F, ...], T],
+          a: Staged[A], b: Staged[B], c: Staged[C], d: Staged[D], e: Staged[E], f: Staged[F], /,
+          **settings: Any) -> Step[T]: ...
+@overload
+def stage(name: str, function: Callable[Concatenate[A, B, C, D, E, F, G, ...], T],
+          a: Staged[A], b: Staged[B], c: Staged[C], d: Staged[D], e: Staged[E], f: Staged[F],
+          g: Staged[G], /, **settings: Any) -> Step[T]: ...
+@overload
+def stage(name: str, function: Callable[Concatenate[A, B, C, D, E, F, G, H, ...], T],
+          a: Staged[A], b: Staged[B], c: Staged[C], d: Staged[D], e: Staged[E], f: Staged[F],
+          g: Staged[G], h: Staged[H], /, **settings: Any) -> Step[T]: ...
+@overload
+def stage(name: str, function: Callable[Concatenate[A, B, C, D, E, F, G, H, J, ...], T],
+          a: Staged[A], b: Staged[B], c: Staged[C], d: Staged[D], e: Staged[E], f: Staged[F],
+          g: Staged[G], h: Staged[H], j: Staged[J], /, **settings: Any) -> Step[T]: ...
+# fmt: on
+def stage(
+    name: str, function: Callable[..., T], /, *inputs: Staged[Any], **settings: Any
+) -> Step[T]:
+    """Return a stage to come; for the parameters see `Step`.
+
+    The overloads let a type checker hold each input against the function's parameter of the same
+    position: one for each number of inputs, as the type system has no other way of saying so.
+    """
+    return Step(name, function, inputs, settings)

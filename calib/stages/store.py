@@ -10,15 +10,27 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from calib.core.errors import UsageError
-from calib.stages.call import call_stage, result_type
+from calib.stages.call import address, call_stage, result_type
 from calib.stages.parallel import Request, processors, run_side_by_side
 from calib.stages.stage_file import Failure, is_intact, pack, read, sealed
-from calib.stages.step import Input, Staged, Step, given
+from calib.stages.step import Staged, Step, gather, given, optional, stage
 
-__all__ = ["Staged", "Step", "Store", "given", "replacing", "write_bytes"]
+__all__ = [
+    "Staged",
+    "Step",
+    "Store",
+    "gather",
+    "given",
+    "optional",
+    "replacing",
+    "stage",
+    "write_bytes",
+]
+
+T = TypeVar("T")
 
 CACHE = ".stages"
 LOCK = ".lock"
@@ -118,11 +130,7 @@ class Store:
             for left in folder.glob(f".*{PARTIAL}"):
                 left.unlink(missing_ok=True)
 
-    def stage(self, name: str, target: str, *inputs: Input, **settings: Any) -> Staged[Any]:
-        """Return the outcome of a stage, computed now or reused; for the parameters see `Step`."""
-        return self._outcome(Step(name, target, inputs, settings))
-
-    def side_by_side(self, steps: Mapping[str, Step]) -> dict[str, Staged[Any]]:
+    def side_by_side(self, steps: Mapping[str, Step[T]]) -> dict[str, Staged[T]]:
         """Return the outcomes of stages that do not need each other, by the keys of `steps`.
 
         They are computed at the same time, as far as there are processors.
@@ -131,25 +139,25 @@ class Store:
         workers = min(len(missing), processors())
         if workers > 1:
             self._run_side_by_side(missing, workers)
-        return {key: self._outcome(step) for key, step in steps.items()}
+        return {key: self.run(step) for key, step in steps.items()}
 
-    def _outcome(self, step: Step) -> Staged[Any]:
-        """Return the outcome of a step, computed here and now if there is none."""
+    def run(self, step: Step[T]) -> Staged[T]:
+        """Return the outcome of a stage, reused, or computed here and now if there is none."""
         if self._has(step):
             if step.name not in self.durations:
                 self.reused.append(step.name)
-            path = self._path(step)
-            return Staged(step.name, step.fingerprint, lambda: read(path, result_type(step.target)))
+            path, kind = self._path(step), result_type(step.function)
+            return Staged(step.name, step.fingerprint, lambda: read(path, kind))
         started = self._announced(step.name)
         outcome = (
-            call_stage(step.target, step.name, step.values(), step.settings, self.progress)
+            call_stage(step.function, step.name, step.values(), step.settings, self.progress)
             if step.failed is None
             else Failure(step.failed)
         )
         self._keep(step, pack(outcome), started)
         return Staged(step.name, step.fingerprint, lambda: outcome)
 
-    def _run_side_by_side(self, steps: Sequence[Step], workers: int) -> None:
+    def _run_side_by_side(self, steps: Sequence[Step[Any]], workers: int) -> None:
         """Compute steps in processes of their own and keep each outcome as it comes."""
         by_name = {step.name: step for step in steps}
         starts: dict[str, float] = {}
@@ -158,7 +166,8 @@ class Store:
             starts[name] = self._announced(name)
 
         requests = [
-            Request(s.name, s.target, tuple(map(pack, s.values())), s.settings) for s in steps
+            Request(s.name, address(s.function), tuple(map(pack, s.values())), s.settings)
+            for s in steps
         ]
         outcomes = run_side_by_side(
             requests, workers=workers, started=started, progress=self.progress
@@ -171,12 +180,12 @@ class Store:
         self.announce(name)
         return time.perf_counter()
 
-    def _path(self, step: Step) -> Path:
+    def _path(self, step: Step[Any]) -> Path:
         return self.out / CACHE / (step.name.replace("/", "--") + ".h5")
 
-    def _has(self, step: Step) -> bool:
+    def _has(self, step: Step[Any]) -> bool:
         return is_intact(self._path(step), step.fingerprint)
 
-    def _keep(self, step: Step, content: bytes, started: float) -> None:
+    def _keep(self, step: Step[Any], content: bytes, started: float) -> None:
         write_bytes(self._path(step), sealed(step.fingerprint, content))
         self.durations[step.name] = time.perf_counter() - started

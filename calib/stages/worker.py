@@ -18,19 +18,19 @@ from calib.stages.message import receive, send
 def serve(requests: IO[bytes], replies: IO[bytes]) -> None:
     """Answer each request: messages of progress, then one that ends it."""
     # It takes half a second and is not needed to be told to stop.
-    from calib.stages.call import call_stage, input_types
+    from calib.stages.call import call_stage, function_at, input_types
     from calib.stages.stage_file import pack, unpack
 
     def progress(_: str, done: int, expected: int) -> None:
         send(replies, {"is": "progress", "steps": [done, expected]})
 
     def answer(header: dict[str, Any], content: bytes) -> bytes:
-        target, sizes = header["target"], header["sizes"]
+        function, sizes = function_at(header["target"]), header["sizes"]
         inputs: list[Any] = []
-        for size, kind in zip(sizes, input_types(target, len(sizes)), strict=True):
+        for size, kind in zip(sizes, input_types(function, len(sizes)), strict=True):
             inputs.append(unpack(content[:size], kind))
             content = content[size:]
-        return pack(call_stage(target, header["name"], inputs, header["settings"], progress))
+        return pack(call_stage(function, header["name"], inputs, header["settings"], progress))
 
     while (request := receive(requests)) is not None:
         try:

@@ -9,6 +9,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from calib.core.errors import EstimationError, UsageError
+from calib.stages.call import address
 from calib.stages.fingerprint import code_fingerprint, digest
 from calib.stages.parallel import Request, run_side_by_side
 from calib.stages.stage_file import Failure, unpack
@@ -84,9 +85,13 @@ def perform_stage(*, task: Mapping[str, Any]) -> Record:
 
 
 def _on_processes(tasks: Sequence[Task], jobs: int) -> Iterator[Record]:
-    target = f"{__name__}:{perform_stage.__name__}"
     requests = [
-        Request(f"{task.condition}, rig {task.number}", target, (), {"task": asdict(task)})
+        Request(
+            f"{task.condition}, rig {task.number}",
+            address(perform_stage),
+            (),
+            {"task": asdict(task)},
+        )
         for task in tasks
     ]
     with closing(run_side_by_side(requests, workers=min(jobs, len(tasks)))) as outcomes:

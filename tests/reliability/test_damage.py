@@ -22,9 +22,9 @@ from hypothesis import strategies as st
 from calib.core.arrays import FloatArray
 from calib.core.errors import CalibError
 from calib.core.hdf5 import hdf5_arrays, hdf5_bytes
-from calib.stages import call, step
+from calib.stages import step
 from calib.stages.stage_file import DOCUMENT, SEAL_BYTES, Failure, is_intact, pack, read, sealed
-from calib.stages.store import Store
+from calib.stages.store import Step, Store
 
 
 @dataclass(frozen=True)
@@ -101,15 +101,14 @@ def test_every_truncation_is_seen(path: Path, cut: int) -> None:
 
 def test_damaged_stage_is_computed_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(step, "code_fingerprint", lambda _: "code")
-    monkeypatch.setattr(call, "_function", lambda _: compute)
     first = Store(tmp_path)
-    first.stage("a/b", "here:compute")
+    first.run(Step("a/b", compute, ()))
     file = tmp_path / ".stages" / "a--b.h5"
     good = file.read_bytes()
-    assert Store(tmp_path).stage("a/b", "here:compute").name == "a/b"
+    assert Store(tmp_path).run(Step("a/b", compute, ())).name == "a/b"
     file.write_bytes(good[:-1] + bytes([good[-1] ^ 1]))
     second = Store(tmp_path)
-    assert same(second.stage("a/b", "here:compute").value, compute())
+    assert same(second.run(Step("a/b", compute, ())).value, compute())
     assert list(second.durations) == ["a/b"]
     assert file.read_bytes() == good
 

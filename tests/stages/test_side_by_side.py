@@ -17,16 +17,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import stages_apart
 from stages_apart import Numbers
 
 import calib.stages.store
 from calib.core.errors import CalibError
 from calib.stages import step as step_module
 from calib.stages.message import receive, send
-from calib.stages.store import Step, Store, given
+from calib.stages.store import Step, Store, given, stage
 
 HERE = Path(__file__).parent
 PATIENCE_S = 20.0
+NUMBERS = given("numbers", Numbers(np.arange(5.0)))
 
 
 @pytest.fixture(autouse=True)
@@ -39,7 +41,7 @@ def workers_find_the_stages(monkeypatch: pytest.MonkeyPatch) -> None:
 def steps(*functions: str, count: int = 5, **settings: object) -> dict[str, Step]:
     source = given("numbers", Numbers(np.arange(float(count))))
     return {
-        f"{f}{i}": Step(f"{i}/{f}", f"stages_apart:{f}", (source,), settings)
+        f"{f}{i}": Step(f"{i}/{f}", getattr(stages_apart, f), (source,), settings)
         for i, f in enumerate(functions)
     }
 
@@ -98,19 +100,23 @@ def test_input_that_failed_fails_what_needs_it(tmp_path: Path) -> None:
     store = Store(tmp_path)
     refused = store.side_by_side(steps("refuse"))["refuse0"]
     names = ("x", "y")
-    after = {n: Step(n, "stages_apart:place", (refused,)) for n in names}
+    after = {n: Step(n, stages_apart.place, (refused,)) for n in names}
     done = store.side_by_side(after | steps("place"))
     assert {done[n].failed for n in names} == {"5 numbers are too few"}
     assert done["place0"].failed is None
 
 
 def test_killed_worker_is_named_and_the_rest_kept(tmp_path: Path) -> None:
-    wanted = steps("draw", "die", seed=1)
-    wanted["die1"] = steps("draw", "die")["die1"]
+    wanted = steps("draw", seed=1) | {"die1": Step("1/die", stages_apart.die, (NUMBERS,))}
     with pytest.raises(CalibError, match=r"1/die: its process was killed \(SIGKILL\), as systems"):
         Store(tmp_path).side_by_side(wanted)
     assert [p.name for p in (tmp_path / ".stages").iterdir()] == ["0--draw.h5"]
     assert_no_children()
+
+
+def test_misspelt_setting_is_found_before_anything_runs() -> None:
+    with pytest.raises(TypeError, match="'seed'"):
+        stage("draw", stages_apart.draw, NUMBERS, sed=1)
 
 
 def test_defect_shows_its_traceback(tmp_path: Path) -> None:
@@ -211,7 +217,7 @@ def lingering(
     folder: Path, function: str = "linger", names: tuple[str, str] = ("a", "b")
 ) -> dict[str, Step]:
     source = given("numbers", Numbers(np.arange(5.0)))
-    target = f"stages_apart:{function}"
+    target = getattr(stages_apart, function)
     return {n: Step(n, target, (source,), {"note": str(folder / n)}) for n in names}
 
 

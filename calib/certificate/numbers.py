@@ -39,9 +39,9 @@ LISTED_CHECKS = 200
 would be of no use. Summary and statements of conformity are of all."""
 
 DECIDED = {
-    "data": "decided by the data",
-    "prior": "decided by prior knowledge",
-    "both": "decided by data and prior knowledge together",
+    "data": "identified by the data",
+    "prior": "identified by prior knowledge",
+    "both": "identified by data and prior knowledge together",
 }
 
 

@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from calib.chain.images import ImageStages, image_stages, sightings
+from calib.chain.images import ImageStages, image_observations, image_stages
 from calib.chain.outputs import write_outputs
 from calib.chain.rows import gaze_rows, gaze_setup, validation_setup
-from calib.checks.encoder_direction import check_sense
-from calib.checks.stereo_pose import told_by_pairs
+from calib.checks.encoder_direction import check_encoder_direction
+from calib.checks.stereo_pose import pose_warnings
 from calib.checks.verdict import all_gates, all_warnings, disagreements
 from calib.dataset.contents import Dataset
 from calib.dataset.tables import LengthTable
@@ -33,7 +33,7 @@ from calib.results.calibration import Calibration, GazeResult
 from calib.results.manifest import run_fingerprint
 from calib.rows.from_table import ValidationRows, observe_validation
 from calib.rows.observations import Observations
-from calib.rows.repeated_readings import repeats_told
+from calib.rows.repeated_readings import repetition_warning
 from calib.stages.store import Staged, Store, gather, given, optional, stage
 
 
@@ -105,7 +105,7 @@ def calibrate(
                 *dataset.warnings,
                 *_combined(dataset, gaze),
                 *all_warnings(result, gaze),
-                *told_by_pairs(dataset, result.stereo, gaze),
+                *pose_warnings(dataset, result.stereo, gaze),
             ),
             disagreements=() if gaze is None else disagreements(gaze),
         )
@@ -119,7 +119,7 @@ def _combined(dataset: Dataset, gaze: GazeResult | None) -> tuple[str, ...]:
     """Return a warning if gazes were repeated."""
     if dataset.gaze is None or gaze is None:
         return ()
-    told = repeats_told(dataset.gaze, gaze.rows)
+    told = repetition_warning(dataset.gaze, gaze.rows)
     return () if told is None else (told,)
 
 
@@ -135,13 +135,13 @@ def _gaze_chain(
     stated = {name: (prior.mean, prior.std) for name, prior in dataset.manifest.priors.items()}
     priors = given("priors", Priors(stated, images.measured()))
     # fmt: off
-    sense = run(stage("sense", check_sense, rows))
+    encoder_direction = run(stage("encoder direction", check_encoder_direction, rows))
     linear = run(stage("base/linear", fit_linear, rows))
     convex = run(stage("base/convex", fit_convex, rows))
     robust = {model: run(stage(f"{model}/robust", fit_model, rows, priors, model=model))
               for model in MODELS}
     # fmt: on
-    posterior = store.side_by_side(
+    posterior = store.run_parallel(
         {
             model: stage(
                 f"{model}/posterior", sample_posterior, rows, fit, priors, seed=options.seed
@@ -155,7 +155,7 @@ def _gaze_chain(
     every |= {f"{name}/posterior": chain for name, chain in posterior.items()}
     result = GazeResult(
         rows=rows.value,
-        sense=sense.value,
+        encoder_direction=encoder_direction.value,
         linear=linear.get(),
         convex=convex.get(),
         robust={name: robust[name].value for name, p in posterior.items() if p.failed is None},
@@ -255,7 +255,7 @@ def _validation(
     if table is None:
         return None
     setup = given("setup", validation_setup(dataset, images))
-    seen = sightings(dataset, table, store, images)
+    seen = image_observations(dataset, table, store, images)
     rows = store.run(
         stage(
             "validation rows", observe_validation, given("validation", table), setup, optional(seen)

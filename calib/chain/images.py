@@ -32,8 +32,8 @@ from calib.images.stereo.solve import CameraPair
 from calib.images.sweep.solve import SweepReadings
 from calib.images.sweep.yaw_axis import SweepResult
 from calib.rows.common_errors import Shared
-from calib.rows.from_images import CornerNoise, shared_errors, sight
-from calib.rows.from_table import CameraSet, Sightings
+from calib.rows.from_images import CornerNoise, observe_images, shared_errors
+from calib.rows.from_table import CameraSet, ImageObservations
 from calib.stages.store import Staged, Store, given, optional, stage
 
 CAMERAS = ("c1", "c2")
@@ -97,7 +97,7 @@ def image_stages(dataset: Dataset, store: Store, seed: int) -> ImageStages:
             f"contact sheet {camera}", contact_sheet, folder, asked, corners[camera],
         ))
         # fmt: on
-    intrinsics = store.side_by_side(
+    intrinsics = store.run_parallel(
         {
             camera: stage(
                 f"intrinsics {camera}", images_stages.intrinsics,
@@ -125,9 +125,9 @@ def image_stages(dataset: Dataset, store: Store, seed: int) -> ImageStages:
     )
 
 
-def sightings(
+def image_observations(
     dataset: Dataset, table: GazeTable, store: Store, images: ImageStages
-) -> Staged[Sightings] | None:
+) -> Staged[ImageObservations] | None:
     """Return what the images say of a table's rows; None if it names none."""
     named = [n for n in (*table.image_c1, *table.image_c2, *table.stereo) if n is not None]
     if not named or dataset.board is None:
@@ -138,7 +138,7 @@ def sightings(
     warps = [fit.board_warp_mm for fit in fits.values() if fit.board_warp_mm is not None]
     known = CornerNoise(**rms, warp_mm=warps[0] if warps else None)
     return store.run(stage(
-        f"sightings {table.file}", sight,
+        f"image observations {table.file}", observe_images,
         given("table", table), given("board", dataset.board),
         optional(images.corners.get("c1")), optional(images.corners.get("c2")),
         optional(images.stereo), images.shared, given("corner noise", known),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from calib.chain.images import ImageStages, sightings
+from calib.chain.images import ImageStages, image_observations
 from calib.dataset.contents import Dataset
 from calib.dataset.tables import GazeTable
 from calib.rows.from_table import Setup, row_settings, validation_settings
@@ -26,7 +26,7 @@ def gaze_rows(
 ) -> Staged[Observations]:
     """Return the calibration rows with their covariance."""
     setup = given("setup", gaze_setup(dataset, images))
-    seen = sightings(dataset, table, store, images)
+    seen = image_observations(dataset, table, store, images)
     return store.run(
         stage("observations", observe_gazes, given("gaze", table), setup, optional(seen))
     )

@@ -10,7 +10,7 @@ from calib.core.errors import EstimationError
 from calib.core.gate import Gate
 from calib.fit.noise import log_density, row_noise
 from calib.fit.start import SCALE_GRID, find_start, some_rows
-from calib.geometry.misclosure import closure_value
+from calib.geometry.misclosure import misclosure_value
 from calib.geometry.parameters import INDEX
 from calib.rows.observations import Observations
 
@@ -24,7 +24,7 @@ PLAUSIBLE_ZERO_RAD = float(np.deg2rad(20.0))
 def _score(rows: Observations) -> tuple[float, float, float]:
     """Return the log likelihood of the best start, its baseline, mm, and encoder zero, rad."""
     theta = find_start(rows, axis_z=True)
-    standardised = closure_value(theta, rows.gaze, rows.z_mm) / row_noise(theta, rows).sigma
+    standardised = misclosure_value(theta, rows.gaze, rows.z_mm) / row_noise(theta, rows).sigma
     density = float(log_density(standardised[:, None], SCALE_GRID[None]).sum(axis=0).max())
     return density, float(theta[INDEX["baseline_mm"]]), float(theta[INDEX["delta2_rad"]])
 
@@ -33,14 +33,14 @@ def _plausible(baseline: float, delta2: float) -> bool:
     return baseline > 0 and abs(delta2) < PLAUSIBLE_ZERO_RAD
 
 
-def check_sense(rows: Observations) -> Gate:
+def check_encoder_direction(rows: Observations) -> Gate:
     """Return whether encoder and baseline have the signs of the frame.
 
     The encoder counts from -X towards +Z and C2 stands at +X. If the mirrored encoder explains the
     rows far better, or only it with a baseline above 0, its sign is wrong; if a baseline below 0
     explains them, C1 and C2 are swapped or the images mirrored.
     """
-    name, rows = "sense", some_rows(rows)
+    name, rows = "encoder-direction", some_rows(rows)
     mirrored = replace(
         rows, alpha2_rad=np.pi - rows.alpha2_rad, gaze_residual_rad=-rows.gaze_residual_rad
     )

@@ -94,7 +94,7 @@ def check_yaw(
     )
 
 
-def told_by_pairs(
+def pose_warnings(
     dataset: Dataset, stereo: StereoReference | None, gaze: GazeResult | None
 ) -> tuple[str, ...]:
     """Return warnings where the pairs contradict the selected model; none without either."""

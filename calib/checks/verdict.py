@@ -116,7 +116,7 @@ def all_warnings(images: ImageResult, gaze: GazeResult | None) -> tuple[str, ...
 
 def gaze_gates(gaze: GazeResult) -> tuple[Gate, ...]:
     """Return the gates of the gaze calibration."""
-    gates = [gaze.sense, _fitted(gaze)]
+    gates = [gaze.encoder_direction, _fitted(gaze)]
     if gaze.posterior:
         gates += [_convergence(gaze.posterior), _agreement(gaze.posterior)]
     if gaze.comparison is not None:
@@ -276,7 +276,7 @@ def _named_outliers(gaze: GazeResult, model: str) -> list[str]:
 def _together(found: GroupCheck) -> str:
     """Return what to do where rows of a group err together."""
     return (
-        f"rows of one group err together (p = {found.probability:.0e} if they were independent, "
+        f"rows of one group have a common error (p = {found.probability:.0e} if they were independent, "
         f"{found.groups} groups). If a group has its reference depth from one measurement, state "
         f"u_z_group_rel = {found.u_z_rel:.1g} or so in [gaze], or keep one row a group; until then "
         "the intervals of depth may be too short"

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from calib.dataset.contents import Dataset
-    from calib.plan.prior_knowledge import SoFar
+    from calib.plan.prior_knowledge import PriorKnowledge
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -98,7 +98,7 @@ def run(arguments: argparse.Namespace) -> int:
     asked = np.array(sorted(set(arguments.depth)))
     start = prepare(
         dataset,
-        _so_far(dataset, arguments.folder),
+        _prior_knowledge(dataset, arguments.folder),
         model=arguments.model,
         asked_mm=asked,
         targets_mm=None if arguments.targets is None else tuple(sorted(arguments.targets)),
@@ -120,7 +120,7 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _so_far(dataset: Dataset, folder: Path | None) -> SoFar:
+def _prior_knowledge(dataset: Dataset, folder: Path | None) -> PriorKnowledge:
     """Return what is known of the dataset, by its images where it has some."""
     from calib.cli.console import Console
     from calib.core.errors import UsageError

@@ -233,7 +233,7 @@ def _header_faults(
         repeated = name in seen
         seen.add(name)
         if repeated and name:
-            what, remedy = f"column {shown(name)} stands twice", "remove or rename one"
+            what, remedy = f"column {shown(name)} occurs twice", "remove or rename one"
         elif not name:
             what, remedy = f"column {i + 1} has no name", "name it, or remove it"
         elif name in known or (pattern is not None and re.fullmatch(pattern, name)):

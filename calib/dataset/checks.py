@@ -81,7 +81,7 @@ def _gaze_doubts(dataset: Dataset, gaze: GazeTable) -> Iterator[str]:
     if len(known) == len(gaze) and np.ptp(known) < DEPTH_SPREAD * known.min():
         yield (
             f"{gaze.file}: all targets stand at nearly the same depth, {known.min():g} to "
-            f"{known.max():g} mm: baseline and zero error can hardly be told apart; add targets "
+            f"{known.max():g} mm: baseline and zero error can hardly be distinguished; add targets "
             "nearer and farther"
         )
 

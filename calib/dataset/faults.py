@@ -104,8 +104,8 @@ def _syntax_error(text: str, message: str) -> InputError:
     return InputError.single(
         where=where,
         what=f"is not TOML: {what}",
-        remedy="texts and paths stand in quotes, decimals have a point, lists stand in [ ], "
-        "each key stands once",
+        remedy="texts and paths are in quotes, decimals have a point, lists are in [ ], "
+        "each key occurs once",
     )
 
 

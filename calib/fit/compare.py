@@ -56,7 +56,7 @@ class ModelScore:
         Expected log predictive density of the encoder readings, per rad and row, summed; its
         standard error.
     pointwise
-        Its terms, shape (n,). Those of rows set aside as outliers are the models' mean, so that
+        Its terms, shape (n,). Those of rows rejected as outliers are the models' mean, so that
         they favour none.
     pareto_k
         Shape parameter of each row's importance weights, shape (n,).
@@ -222,7 +222,7 @@ def _without_outliers(pointwise: FloatArray, fits: Mapping[str, RobustFit]) -> F
     """
     closest = min(fits.values(), key=lambda fit: fit.noise_scale)
     level = pointwise.mean(axis=1, keepdims=True)
-    evened: FloatArray = np.where(closest.aside[:, None], level, pointwise)
+    evened: FloatArray = np.where(closest.rejected[:, None], level, pointwise)
     return evened
 
 

@@ -23,7 +23,7 @@ from calib.core.errors import EstimationError
 from calib.fit.linear import residual_mrad
 from calib.fit.noise import is_outlier, row_noise
 from calib.fit.start import find_start
-from calib.geometry.misclosure import closure_value
+from calib.geometry.misclosure import misclosure_value
 from calib.geometry.parameters import vector
 from calib.rows.observations import Observations
 
@@ -132,7 +132,7 @@ def _system(rows: Observations) -> _System:
     """Return the weighted linear system of eqs. (7) and (8)."""
     start = find_start(rows, axis_z=True)
     sigma = row_noise(start, rows).sigma
-    standardised = closure_value(start, rows.gaze, rows.z_mm) / sigma
+    standardised = misclosure_value(start, rows.gaze, rows.z_mm) / sigma
     few = 1 + 5 / max(len(rows) - 3, 1)
     scale = max(MAD_TO_SIGMA * few * float(np.median(np.abs(standardised))), 1e-6)
     angle = rows.alpha2_rad + rows.gaze_residual_rad

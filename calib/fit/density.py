@@ -1,6 +1,6 @@
 """The log posterior density of a model, for many parameter vectors at once.
 
-Without encoder terms other than its zero, the closure is linear in twelve products of what a row
+Without encoder terms other than its zero, the misclosure is linear in twelve products of what a row
 says: the sines and cosines of its reading times 1/z, x1c, y1c and 1, and those four themselves.
 For m vectors and n rows it is then one (m x 12) by (12 x n) matrix product; columns that a model
 never uses are left out.
@@ -50,12 +50,12 @@ class LogPosterior:
     rows
         The rows, n of them.
     sigma
-        Stated uncertainty of each row's closure, shape (n,); fixed, so that the density is one of
+        Stated uncertainty of each row's misclosure, shape (n,); fixed, so that the density is one of
         the residuals alone.
     log_unit
-        Log of the density of an encoder reading per unit of standardised closure, shape (n,).
+        Log of the density of an encoder reading per unit of standardised misclosure, shape (n,).
     power
-        Of each row's density, shape (n,): the tails' efficiency, 0 for a row set aside.
+        Of each row's density, shape (n,): the tails' efficiency, 0 for a row rejected.
     root, target
         Priors and measured knowledge: ``-|root @ x - target|² / 2``, shapes (r, p) and (r,).
     noise_prior
@@ -130,7 +130,7 @@ class LogPosterior:
 
     @cached_property
     def _heard(self) -> LogPosterior:
-        """The same without the rows set aside."""
+        """The same without the rows rejected."""
         return self if self.power.all() else self.only(np.flatnonzero(self.power))
 
     @cached_property
@@ -233,7 +233,7 @@ def log_posterior(
     priors: Priors,
     theta: FloatArray,
     *,
-    aside: BoolArray | None = None,
+    rejected: BoolArray | None = None,
     tails: Tails = ROBUST,
     followed: float = 0.0,
 ) -> LogPosterior:
@@ -248,7 +248,7 @@ def log_posterior(
     followed
         See `LogPosterior`.
     """
-    silent = np.zeros(len(rows), dtype=np.bool_) if aside is None else aside
+    silent = np.zeros(len(rows), dtype=np.bool_) if rejected is None else rejected
     noise = row_noise(theta, rows)
     root, target = (prior_of(model, priors) + measured_of(model, priors)).root()
     return LogPosterior(

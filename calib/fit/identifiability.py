@@ -13,7 +13,7 @@ from calib.core.gate import Gate
 from calib.fit.information import Known, beforehand, kept, row_slopes, slopes
 from calib.fit.priors import Priors, measured_of, prior_of
 from calib.fit.robust import DECIDED, RobustFit
-from calib.geometry.misclosure import closure
+from calib.geometry.misclosure import misclosure
 from calib.geometry.parameters import MODELS, PARAMETERS, Model
 from calib.geometry.plane import OBSERVABLE
 from calib.rows.observations import Observations
@@ -65,14 +65,14 @@ class Combination:
 
     @property
     def words(self) -> str:
-        """What the rows cannot tell and what to do about it; empty where they can."""
+        """What the rows cannot distinguish and what to do about it; empty where they can."""
         if not self.remedies:
             return ""
         symbols = [_SYMBOLS[name] for name in self.names]
         if len(symbols) == 1:
-            told = f"say hardly anything of {symbols[0]}"
+            told = f"hold hardly any information on {symbols[0]}"
         else:
-            told = f"cannot tell {', '.join(symbols[:-1])} from {symbols[-1]}"
+            told = f"cannot distinguish {', '.join(symbols[:-1])} from {symbols[-1]}"
         return f"these targets {told}: {', or '.join(self.remedies)}"
 
 
@@ -81,7 +81,7 @@ class Identifiability:
     """What the rows can tell of one model.
 
     Errors that all rows share (intrinsics, stereo extrinsics) are left out: they are no matter of
-    what the rows can tell apart.
+    what the rows can distinguish.
 
     Parameters
     ----------
@@ -216,7 +216,7 @@ def _depth_std_rel(rows: Observations, fit: RobustFit, covariance: FloatArray) -
 
     At their reference depths: those of rows that agree, so that no outlier's gaze decides it.
     """
-    c = closure(fit.theta, rows.gaze, rows.z_mm, parameters=MODELS[fit.model].indices)
+    c = misclosure(fit.theta, rows.gaze, rows.z_mm, parameters=MODELS[fit.model].indices)
     # F(theta, q, z) = 0 defines z, so dz = -F_theta dtheta / F_z.
     slope = c.by_theta / (c.by_observable[:, OBSERVABLE.z] * rows.z_mm)[:, None]
     relative = np.sqrt(np.einsum("ni,ij,nj->n", slope, covariance, slope))
@@ -299,8 +299,8 @@ def _stretched(rows: Observations, fit: RobustFit, *, half_rad: float) -> Observ
         alpha2_rad=np.pi / 2 + half_rad * (2 * share - 1),
         gaze_residual_rad=np.zeros(len(rows)),
     )
-    # The closure is linear in x1c: where it is nought C1 sees the target.
-    c = closure(fit.theta, turned.gaze, rows.z_mm, parameters=())
+    # The misclosure is linear in x1c: where it is nought C1 sees the target.
+    c = misclosure(fit.theta, turned.gaze, rows.z_mm, parameters=())
     return replace(turned, x1c=rows.x1c - c.value / c.by_observable[:, OBSERVABLE.x1c])
 
 

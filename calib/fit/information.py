@@ -1,6 +1,6 @@
 """The rows' Fisher information about the parameters, and its singular values.
 
-At the estimate it is G^T G, with a line of G for each row: the derivative of its closure by the
+At the estimate it is G^T G, with a line of G for each row: the derivative of its misclosure by the
 parameters over its standard uncertainty. Columns are scaled by what is known of any rig beforehand
 (`beforehand`), so that a singular value of G below one is a combination of parameters of which the
 rows say less than that (the likelihood-informed directions of Cui et al. 2014,
@@ -16,7 +16,7 @@ import numpy as np
 from calib.core.arrays import BoolArray, FloatArray
 from calib.fit.noise import is_outlier, row_noise
 from calib.fit.robust import RobustFit
-from calib.geometry.misclosure import closure
+from calib.geometry.misclosure import misclosure
 from calib.geometry.parameters import MODELS, PARAMETERS, Model
 from calib.rows.observations import Observations
 
@@ -59,7 +59,7 @@ def row_information(rows: Observations, fit: RobustFit) -> FloatArray:
 
 def slopes(rows: Observations, fit: RobustFit) -> FloatArray:
     """Return G of all rows, shape (n, p)."""
-    c = closure(fit.theta, rows.gaze, rows.z_mm, parameters=MODELS[fit.model].indices)
+    c = misclosure(fit.theta, rows.gaze, rows.z_mm, parameters=MODELS[fit.model].indices)
     weight = np.sqrt(fit.tails.efficiency) / (row_noise(fit.theta, rows).sigma * fit.noise_scale)
     slope: FloatArray = c.by_theta * weight[:, None]
     return slope
@@ -67,7 +67,7 @@ def slopes(rows: Observations, fit: RobustFit) -> FloatArray:
 
 def kept(rows: Observations, fit: RobustFit) -> BoolArray:
     """Return which rows agree with the others, shape (n,); all where none does."""
-    value = closure(fit.theta, rows.gaze, rows.z_mm, parameters=()).value
+    value = misclosure(fit.theta, rows.gaze, rows.z_mm, parameters=()).value
     agrees: BoolArray = ~is_outlier(value / row_noise(fit.theta, rows).sigma, fit.noise_scale)
     return agrees if agrees.any() else ~agrees
 

@@ -200,7 +200,7 @@ def _parts(unit: IntArray, most: int) -> Iterator[IntArray]:
 def _smoothed(log_ratios: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return Pareto-smoothed log weights, shape (n, m), and k-hat, shape (n,), of log ratios.
 
-    A row on which the draws hardly depend, being one of many or set aside, has no tail to smooth:
+    A row on which the draws hardly depend, being one of many or rejected, has no tail to smooth:
     its k-hat is 0.
     """
     log_weights, k_hat = -log_ratios, np.zeros(len(log_ratios))

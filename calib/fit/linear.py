@@ -18,7 +18,7 @@ import numpy as np
 
 from calib.core.arrays import FloatArray
 from calib.core.errors import EstimationError
-from calib.geometry.misclosure import closure
+from calib.geometry.misclosure import misclosure
 from calib.geometry.parameters import vector
 from calib.rows.observations import Observations
 
@@ -84,9 +84,9 @@ def _solve(matrix: FloatArray, right: FloatArray) -> FloatArray:
 def residual_mrad(theta: FloatArray, rows: Observations) -> FloatArray:
     """Return the angle-like residual (num / z) - (x1c + cot a), mrad, shape (n,).
 
-    It is the closure over the normal's x component, sin(a) for an untilted axis.
+    It is the misclosure over the normal's x component, sin(a) for an untilted axis.
     """
-    c = closure(theta, rows.gaze, rows.z_mm, parameters=())
+    c = misclosure(theta, rows.gaze, rows.z_mm, parameters=())
     residual: FloatArray = 1e3 * c.value / -c.by_observable[:, 0]
     return residual
 
@@ -133,7 +133,7 @@ def fit_bilinear(rows: Observations, weights: FloatArray, *, axis_z: bool) -> Fl
     Parameters
     ----------
     weights
-        1 / sigma of the closure of each row, shape (n,); zero leaves a row out.
+        1 / sigma of the misclosure of each row, shape (n,); zero leaves a row out.
     axis_z
         Whether Z_a is free. Without it B = A T ties the unknowns, and one Gauss-Newton step from
         the untied solution restores the tie.
@@ -144,7 +144,7 @@ def fit_bilinear(rows: Observations, weights: FloatArray, *, axis_z: bool) -> Fl
         If the rows do not determine the unknowns.
     """
     c, x, z = _cotangent(rows), rows.x1c, rows.z_mm
-    # sin(a) turns the cotangent form into the closure, whose sigma the weights are.
+    # sin(a) turns the cotangent form into the misclosure, whose sigma the weights are.
     w = weights * np.sin(rows.alpha2_rad + rows.gaze_residual_rad)
     if axis_z:
         matrix = np.stack([1 - x * c, 1 / z, c / z], axis=1)

@@ -1,13 +1,13 @@
 """The noise of a row: effective variance, Student-t tails, one scale for all rows.
 
-A row's closure F (see `calib.geometry.misclosure.closure`) has, to first order, the variance of the
+A row's misclosure F (see `calib.geometry.misclosure.misclosure`) has, to first order, the variance of the
 errors in x1c, y1c, alpha2, gaze residual and z carried through it (effective variance; Orear 1982,
 doi 10.1119/1.12972). F / sigma then has unit spread if the stated uncertainties are right. Its
 density is Student's t with scale ``s * core``: s is the noise scale, by which the stated
 uncertainties are wrong.
 
 Why t and not normal: one row in ten may be a gross error (a corner mistaken, a reading from the
-wrong pose) and must not move the result. `ROBUST` tails find such rows. Once they are set aside
+wrong pose) and must not move the result. `ROBUST` tails find such rows. Once they are rejected
 the rest is nearly normal, and `CLEAN` tails take it for that.
 """
 
@@ -19,7 +19,7 @@ import numpy as np
 from scipy.special import gammaln, ndtri
 
 from calib.core.arrays import BoolArray, FloatArray
-from calib.geometry.misclosure import Closure, closure
+from calib.geometry.misclosure import Misclosure, misclosure
 from calib.geometry.plane import OBSERVABLE
 from calib.rows.observations import Observations
 
@@ -49,7 +49,7 @@ ROBUST = Tails(5.0, 0.8566209142462032, 0.9188551355057069)
 0.89, eight hold out against one ninth only."""
 
 CLEAN = Tails(15.0, 0.9419429283342325, 0.9837111726229334)
-"""For rows none of which is named an outlier, or whose outliers are set aside: keeps nearly all of
+"""For rows none of which is named an outlier, or whose outliers are rejected: keeps nearly all of
 a normal likelihood's efficiency, and still leaves a row four standard deviations off half of its
 weight only."""
 
@@ -60,7 +60,7 @@ OUTLIER_FLOOR = 3.5
 """No row nearer than this many standard deviations is named, however few the rows."""
 
 SPARE_FREEDOM = 6.0
-"""Degrees of freedom that must be left to the noise scale before outliers are set aside: with fewer
+"""Degrees of freedom that must be left to the noise scale before outliers are rejected: with fewer
 a tight but wrong fit of some rows could turn the honest others out."""
 
 KEPT_SHARE = 2 / 3
@@ -75,7 +75,7 @@ prior has ruled them out long before."""
 
 @dataclass(frozen=True)
 class RowNoise:
-    """How uncertain the closure of each row is as stated.
+    """How uncertain the misclosure of each row is as stated.
 
     Parameters
     ----------
@@ -91,11 +91,11 @@ class RowNoise:
 
 def row_noise(theta: FloatArray, rows: Observations) -> RowNoise:
     """Return the noise of rows at parameters `theta`, shape (COUNT,)."""
-    c = closure(theta, rows.gaze, rows.z_mm, parameters=())
+    c = misclosure(theta, rows.gaze, rows.z_mm, parameters=())
     return RowNoise(own_sigma(c, rows.std), np.abs(c.by_observable[:, OBSERVABLE.alpha2]))
 
 
-def own_sigma(c: Closure, std: FloatArray) -> FloatArray:
+def own_sigma(c: Misclosure, std: FloatArray) -> FloatArray:
     """Return the standard uncertainties of closures, shape (n,), from those of `Observations`."""
     # One quantity after the other: summing five numbers a row takes four times as long.
     carried = np.multiply(c.by_observable.T, std.T, order="C")
@@ -135,12 +135,12 @@ def outlier_limit(rows: int) -> float:
     return max(OUTLIER_FLOOR, -float(ndtri(OUTLIER_FAMILY_RISK / 2 / rows)))
 
 
-def set_aside(standardised: FloatArray, scale: float, *, parameters: float) -> BoolArray:
+def reject_outliers(standardised: FloatArray, scale: float, *, parameters: float) -> BoolArray:
     """Return which rows are left out of noise scale and posterior, shape (n,).
 
     The t density keeps outliers from moving the estimate, but each still tells it that the noise is
     large: with one row in ten the scale comes out half as large again, and with it every interval.
-    Rows named as outliers are therefore set aside where enough others remain.
+    Rows named as outliers are therefore rejected where enough others remain.
 
     Parameters
     ----------

@@ -160,7 +160,7 @@ def posterior_of(fit: RobustFit, rows: Observations, priors: Priors) -> LogPoste
         MODELS[fit.model],
         priors,
         fit.theta,
-        aside=fit.aside,
+        rejected=fit.rejected,
         tails=fit.tails,
         followed=fit.group_freedom,
     )

@@ -3,7 +3,7 @@
 Errors in x1c, y1c, alpha2, the gaze residual and z_ref all enter the weights; the loss is the
 Student-t density of `calib.fit.noise`; priors and measured knowledge enter as residuals. Noise
 scale and weights are brought into agreement with the estimate by a few rounds, first with robust
-tails, which find the outliers; then, these set aside, with nearly normal ones, which lose little of
+tails, which find the outliers; then, these rejected, with nearly normal ones, which lose little of
 what the other rows say (a high breakdown first and efficiency after it, as the MM-estimates of
 Yohai 1987, doi 10.1214/aos/1176350366).
 """
@@ -17,10 +17,10 @@ import numpy as np
 from calib.core.arrays import BoolArray, FloatArray
 from calib.core.errors import EstimationError
 from calib.fit.groups import wider_part
-from calib.fit.noise import CLEAN, ROBUST, Tails, is_outlier, set_aside
+from calib.fit.noise import CLEAN, ROBUST, Tails, is_outlier, reject_outliers
 from calib.fit.priors import Priors, measured_of, prior_of
+from calib.fit.reweighting import Problem, Solution, inverse
 from calib.fit.row_sums import residuals
-from calib.fit.settle import Problem, Solution, inverse
 from calib.fit.start import find_start, some_rows
 from calib.geometry.parameters import MODELS, Model, embed
 from calib.rows.observations import GROUP_SOURCE, Observations
@@ -72,7 +72,7 @@ class RobustFit:
         Standard deviation of the residuals of rows that are not outliers, with their number less
         `data_parameters` as degrees of freedom.
     standardised
-        Closure over its stated uncertainty, shape (n,).
+        Misclosure over its stated uncertainty, shape (n,).
     noise_scale
         Factor by which the stated uncertainties are too small (above 1) or too large.
     outliers
@@ -105,7 +105,7 @@ class RobustFit:
     standardised: FloatArray
     noise_scale: float
     outliers: tuple[str, ...]
-    aside: BoolArray
+    rejected: BoolArray
     tails: Tails
     data_parameters: float
     group_freedom: float
@@ -144,7 +144,7 @@ def too_much(rows: Observations, model: Model) -> str | None:
     if len(rows) < wanted:
         return (
             f"{len(rows)} rows; {wanted} are needed, {SPARE_ROWS} more than the parameters that "
-            "rows can tell apart, or the noise cannot be judged"
+            "rows can distinguish, or the noise cannot be judged"
         )
     if model.needs_height and not rows.has_height:
         return "the rows give no y1c, and only targets above and below C1's axis show a tilt"
@@ -183,20 +183,24 @@ def fit_robust(
     theta = find_start(rows, axis_z="axis_z_mm" in model.free) if start is None else start
     some = replace(problem, rows=some_rows(rows, ROUGH_ROWS))
     scale = some.noise_scale(residuals(theta, some.rows).standardised, 0.0)
-    found = some.settle(theta, scale, accuracy=ROUGH)
+    found = some.solve(theta, scale, accuracy=ROUGH)
     standardised = residuals(found.theta, rows).standardised
-    aside = set_aside(standardised, found.scale, parameters=found.decided)
-    plain = np.array_equal(aside, is_outlier(standardised, found.scale))
+    rejected = reject_outliers(standardised, found.scale, parameters=found.decided)
+    plain = np.array_equal(rejected, is_outlier(standardised, found.scale))
     if plain and found.hides_no_outlier(len(rows)):
-        problem = replace(problem, rows=rows.take(~aside) if aside.any() else rows, tails=CLEAN)
+        problem = replace(
+            problem, rows=rows.take(~rejected) if rejected.any() else rows, tails=CLEAN
+        )
     final = problem.settle_near(found.theta, found.scale) if len(rows) >= MANY_ROWS else None
     if final is None:
-        final = problem.settle(found.theta, found.scale)
+        final = problem.solve(found.theta, found.scale)
     final = replace(final, evaluations=found.evaluations + final.evaluations)
-    return _describe(problem, final, rows, aside)
+    return _describe(problem, final, rows, rejected)
 
 
-def _describe(problem: Problem, fit: Solution, rows: Observations, aside: BoolArray) -> RobustFit:
+def _describe(
+    problem: Problem, fit: Solution, rows: Observations, rejected: BoolArray
+) -> RobustFit:
     """Return the fit with its uncertainties and what decided each parameter.
 
     Parameters
@@ -210,7 +214,7 @@ def _describe(problem: Problem, fit: Solution, rows: Observations, aside: BoolAr
     added = by_shared.shape[1] - len(rows.shared_names)
     found = residuals(fit.theta, rows)
     standardised, residual = found.standardised, found.mrad
-    outlier = aside | is_outlier(standardised, fit.scale)
+    outlier = rejected | is_outlier(standardised, fit.scale)
     freedom = max(float(np.sum(~outlier)) - fit.decided, 1.0)
     # A trace of the prior keeps the matrix regular where the data say nothing at all.
     alone = np.diag(inverse(fit.data + NEARLY_NO_PRIOR * prior.precision, model))
@@ -227,7 +231,7 @@ def _describe(problem: Problem, fit: Solution, rows: Observations, aside: BoolAr
         standardised=standardised,
         noise_scale=fit.scale,
         outliers=tuple(rows.ids[i] for i in np.flatnonzero(outlier)),
-        aside=aside,
+        rejected=rejected,
         tails=problem.tails,
         data_parameters=fit.decided,
         group_freedom=fit.groups.followed,

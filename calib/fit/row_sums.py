@@ -13,7 +13,7 @@ import numpy as np
 
 from calib.core.arrays import FloatArray
 from calib.fit.noise import Tails, outlier_limit, own_sigma
-from calib.geometry.misclosure import closure
+from calib.geometry.misclosure import misclosure
 from calib.geometry.parameters import Model
 from calib.geometry.plane import Gaze
 from calib.rows.observations import Observations
@@ -29,7 +29,7 @@ class Residuals:
     Parameters
     ----------
     value
-        Closure, shape (n,).
+        Misclosure, shape (n,).
     sigma
         Its standard uncertainty as stated, shape (n,).
     across
@@ -42,7 +42,7 @@ class Residuals:
 
     @property
     def standardised(self) -> FloatArray:
-        """Closure over its stated uncertainty, shape (n,)."""
+        """Misclosure over its stated uncertainty, shape (n,)."""
         ratio: FloatArray = self.value / self.sigma
         return ratio
 
@@ -60,15 +60,15 @@ class RowSums:
     Parameters
     ----------
     sigma
-        Standard uncertainty of the closure as stated, shape (n,).
+        Standard uncertainty of the misclosure as stated, shape (n,).
     standardised
-        Closure over it, shape (n,).
+        Misclosure over it, shape (n,).
     information
         The rows' Fisher information, outliers left out, shape (p, p).
     gradient
         Of the rows' negative log density at these weights, shape (p,).
     curvature
-        Its second derivative, the closure taken as linear in the parameters, shape (p, p).
+        Its second derivative, the misclosure taken as linear in the parameters, shape (p, p).
     """
 
     sigma: FloatArray
@@ -92,7 +92,7 @@ def residuals(theta: FloatArray, rows: Observations) -> Residuals:
     """Return the residuals of rows at parameters `theta`, shape (COUNT,)."""
     found = Residuals(*np.empty((3, len(rows))))
     for part, gaze, z, std in _blocks(rows):
-        c = closure(theta, gaze, z, parameters=())
+        c = misclosure(theta, gaze, z, parameters=())
         found.value[part] = c.value
         found.sigma[part] = own_sigma(c, std)
         found.across[part] = -c.by_observable[:, 0]
@@ -110,13 +110,13 @@ def sum_rows(
     information, curvature = np.zeros((2, free, free))
     gradient = np.zeros(free)
     for part, gaze, z, std in _blocks(rows):
-        c = closure(theta, gaze, z, parameters=model.indices)
+        c = misclosure(theta, gaze, z, parameters=model.indices)
         sigma[part] = own_sigma(c, std)
         standardised[part] = c.value / sigma[part]
         miss, slope = standardised[part], c.by_theta.T / sigma[part]
         agrees = np.abs(miss) <= limit
-        heard = slope if agrees.all() else slope[:, agrees]
-        information += heard @ heard.T
+        inlier = slope if agrees.all() else slope[:, agrees]
+        information += inlier @ inlier.T
         square = miss**2
         near = 1 / (width + square)
         gradient += slope @ (miss * near)

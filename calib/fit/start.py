@@ -8,7 +8,7 @@ from calib.core.arrays import FloatArray
 from calib.core.errors import EstimationError
 from calib.fit.linear import fit_bilinear
 from calib.fit.noise import log_density, row_noise
-from calib.geometry.misclosure import closure_value
+from calib.geometry.misclosure import misclosure_value
 from calib.geometry.parameters import vector
 from calib.rows.observations import Observations
 
@@ -43,7 +43,7 @@ def first_guess(rows: Observations) -> FloatArray:
 
 
 def _misses(theta: FloatArray, rows: Observations, sigma: FloatArray) -> FloatArray:
-    return closure_value(theta, rows.gaze, rows.z_mm) / sigma
+    return misclosure_value(theta, rows.gaze, rows.z_mm) / sigma
 
 
 def _best_log_density(standardised: FloatArray) -> float:

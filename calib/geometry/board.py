@@ -110,7 +110,7 @@ class LensFit:
     rejected
         Number of corners discarded as outliers.
     board_warp_mm
-        Solved bow of the board in x and y, mm, where the backend solves it; else None.
+        Solved deformation of the board in x and y, mm, where the backend solves it; else None.
     """
 
     backend: str

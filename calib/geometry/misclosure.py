@@ -1,6 +1,6 @@
 r"""How far rows miss the gaze plane, and what depth does when anything changes: all derivatives.
 
-The closure of a row whose depth z is known is :math:`F = (n \cdot p + e) / z - n \cdot r`, in the
+The misclosure of a row whose depth z is known is :math:`F = (n \cdot p + e) / z - n \cdot r`, in the
 notation of `calib.geometry.plane`. F = 0 defines depth, so that depth's derivatives follow from
 those of F. Lengths in mm, angles in rad.
 """
@@ -25,7 +25,7 @@ from calib.geometry.plane import OBSERVABLE, Basis, Gaze, depth, frame, gaze_ang
 
 
 @dataclass(frozen=True)
-class Closure:
+class Misclosure:
     """How far rows miss the gaze plane, F = (n . p + e) / z - n . r, with its derivatives.
 
     Parameters
@@ -83,18 +83,18 @@ class _Turned:
         return product
 
 
-def closure_value(theta: FloatArray, gaze: Gaze, z: FloatArray) -> FloatArray:
-    """Return the value of `closure` alone, shape (n,): a fifth of its work."""
+def misclosure_value(theta: FloatArray, gaze: Gaze, z: FloatArray) -> FloatArray:
+    """Return the value of `misclosure` alone, shape (n,): a fifth of its work."""
     f, turned = frame(theta), _Turned.at(theta, gaze)
     value = turned.on_arm(f.basis(), f.point, gaze, z)
     value += f.offset / z
     return value
 
 
-def closure(
+def misclosure(
     theta: FloatArray, gaze: Gaze, z: FloatArray, *, parameters: Sequence[int] | None = None
-) -> Closure:
-    """Return the closure of rows whose depth `z`, mm, shape (n,), is known.
+) -> Misclosure:
+    """Return the misclosure of rows whose depth `z`, mm, shape (n,), is known.
 
     Parameters
     ----------
@@ -135,7 +135,7 @@ def closure(
             -numerator / z**2,
         ]
     ).T
-    return Closure(numerator / z - turned.on_ray(basis, gaze), by_theta, by_observable)
+    return Misclosure(numerator / z - turned.on_ray(basis, gaze), by_theta, by_observable)
 
 
 def _reading_slope(theta: FloatArray, gaze: Gaze) -> FloatArray:
@@ -172,7 +172,7 @@ def depth_jacobian(theta: FloatArray, gaze: Gaze) -> DepthJacobian:
     For `base` these are eqs. (10) and (12) of Xu and Wang with the full angle alpha2 + delta2.
     """
     z = depth(theta, gaze)
-    c = closure(theta, gaze, z)
+    c = misclosure(theta, gaze, z)
     # F(theta, q, z) = 0 defines z, so dz = -F_q dq / F_z.
     slope = -1 / c.by_observable[:, OBSERVABLE.z, None]
     return DepthJacobian(z, slope * c.by_theta, slope * c.by_observable[:, : OBSERVABLE.z])

@@ -74,7 +74,7 @@ def project_points(camera: Camera, points: FloatArray) -> Projection:
     return Projection(pixels.reshape(-1, 2), by_all[..., 3:6], by_all[..., 6 : 10 + count])
 
 
-def bowed(points: FloatArray, warp_mm: tuple[float, float] | None) -> FloatArray:
+def deformed(points: FloatArray, warp_mm: tuple[float, float] | None) -> FloatArray:
     """Return board points, shape (n, 3), mm, with the bow of `LensFit.board_warp_mm` put in.
 
     The bow is mrcal's: a parabola each along x and along y, 0 at the outer corners.

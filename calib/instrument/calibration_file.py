@@ -330,5 +330,5 @@ def _document(path: Path, text: str) -> Any:
 def _each_key_once(pairs: Sequence[tuple[str, Any]]) -> dict[str, Any]:
     document = dict(pairs)
     if len(document) != len(pairs):
-        raise ValueError("a key stands twice")
+        raise ValueError("a key occurs twice")
     return document

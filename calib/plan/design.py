@@ -16,7 +16,7 @@ import numpy as np
 
 from calib.core.arrays import FloatArray, IntArray
 from calib.fit.noise import CLEAN, row_noise
-from calib.geometry.misclosure import closure, depth_jacobian
+from calib.geometry.misclosure import depth_jacobian, misclosure
 from calib.geometry.parameters import Model
 from calib.geometry.plane import gaze_at
 from calib.plan.field import Field
@@ -102,7 +102,7 @@ def rows_at(knowledge: Knowledge, points: FloatArray, noise: Noise) -> Observati
 
 def row_vectors(knowledge: Knowledge, rows: Observations) -> FloatArray:
     """Return g of each row, shape (m, p): its information is g g^T."""
-    slope = closure(knowledge.theta, rows.gaze, rows.z_mm).by_theta
+    slope = misclosure(knowledge.theta, rows.gaze, rows.z_mm).by_theta
     sigma = row_noise(knowledge.theta, rows).sigma * knowledge.noise_scale
     weight = np.sqrt(CLEAN.efficiency) / sigma
     vectors: FloatArray = slope[:, list(knowledge.model.indices)] * weight[:, None]

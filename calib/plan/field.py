@@ -80,7 +80,7 @@ class Field:
     def grid(self, theta: FloatArray, depths_mm: tuple[float, float], *, high: bool) -> FloatArray:
         """Return candidate targets, frame C1, mm, shape (m, 3).
 
-        Evenly spaced in x1c, and in 1 / z, as which depth enters the closure.
+        Evenly spaced in x1c, and in 1 / z, as which depth enters the misclosure.
 
         Parameters
         ----------

@@ -18,7 +18,7 @@ from calib.geometry.parameters import INDEX, MODELS, Model, embed
 from calib.geometry.plane import OBSERVABLE
 from calib.plan.design import Knowledge, Noise, row_vectors
 from calib.plan.field import Field, field_of
-from calib.plan.prior_knowledge import SoFar
+from calib.plan.prior_knowledge import PriorKnowledge
 from calib.rows.from_table import RowSettings, row_settings
 from calib.rows.observations import Observations
 
@@ -53,7 +53,7 @@ class Start:
 
 def prepare(
     dataset: Dataset,
-    so_far: SoFar,
+    prior_knowledge: PriorKnowledge,
     *,
     model: str,
     asked_mm: FloatArray,
@@ -70,12 +70,12 @@ def prepare(
     """
     if model not in MODELS:
         raise UsageError(f"--model {model}: unknown; choose from {', '.join(MODELS)}")
-    rows = so_far.rows
+    rows = prior_knowledge.rows
     stated = {name: (prior.mean, prior.std) for name, prior in dataset.manifest.priors.items()}
-    priors = Priors(stated, so_far.measured)
+    priors = Priors(stated, prior_knowledge.measured)
     settings, notes = _settings(dataset)
     if rows is None:
-        knowledge = _from_priors(MODELS[model], priors, so_far.baseline_mm)
+        knowledge = _from_priors(MODELS[model], priors, prior_knowledge.baseline_mm)
         points = np.zeros((0, 3))
     else:
         knowledge, more = _from_rows(MODELS[model], priors, rows)
@@ -83,7 +83,7 @@ def prepare(
         if rows.shared_names:
             notes += ("errors that all rows share, of intrinsics and stereo, come on top of u(z)",)
         points = rows.z_mm[:, None] * np.column_stack([rows.x1c, rows.y1c, np.ones(len(rows))])
-    field, unseen = _field(so_far, yaw_deg)
+    field, unseen = _field(prior_knowledge, yaw_deg)
     return Start(
         knowledge=knowledge,
         field=field,
@@ -94,9 +94,11 @@ def prepare(
     )
 
 
-def _field(so_far: SoFar, yaw_deg: tuple[float, float]) -> tuple[Field, tuple[str, ...]]:
+def _field(
+    prior_knowledge: PriorKnowledge, yaw_deg: tuple[float, float]
+) -> tuple[Field, tuple[str, ...]]:
     """Return where targets can be seen and gazed at, and what had to be assumed."""
-    rows, cameras = so_far.rows, so_far.cameras
+    rows, cameras = prior_knowledge.rows, prior_knowledge.cameras
     notes: tuple[str, ...] = ()
     if cameras.c1 is None:
         if rows is None:

@@ -16,7 +16,7 @@ from calib.stages.store import Store
 
 
 @dataclass(frozen=True)
-class SoFar:
+class PriorKnowledge:
     """What is known before a plan.
 
     Parameters
@@ -42,16 +42,16 @@ def needs_images(dataset: Dataset) -> bool:
     return dataset.board is not None
 
 
-def from_tables(dataset: Dataset) -> SoFar:
+def from_tables(dataset: Dataset) -> PriorKnowledge:
     """Return what is known of a dataset without images."""
     cameras = CameraSet(dataset.cameras.get("c1"), dataset.cameras.get("c2"))
     if dataset.gaze is None:
-        return SoFar(None, cameras)
+        return PriorKnowledge(None, cameras)
     setup = Setup(row_settings(dataset), cameras)
-    return SoFar(observe_gazes(dataset.gaze, setup, None), cameras)
+    return PriorKnowledge(observe_gazes(dataset.gaze, setup, None), cameras)
 
 
-def from_images(dataset: Dataset, store: Store) -> SoFar:
+def from_images(dataset: Dataset, store: Store) -> PriorKnowledge:
     """Return what is known of a dataset with images.
 
     By the stages of `calib calibrate`, kept in its folder: what is there is used, what is missing
@@ -74,7 +74,7 @@ def from_images(dataset: Dataset, store: Store) -> SoFar:
         if dataset.gaze is not None:
             rows = gaze_rows(dataset, dataset.gaze, store, images).value
         stereo = None if images.stereo is None else images.stereo.get()
-        return SoFar(
+        return PriorKnowledge(
             rows=rows,
             cameras=images.cameras,
             measured=images.measured(),

@@ -70,7 +70,7 @@ class Items:
 
 
 @dataclass(frozen=True)
-class Facts:
+class DefinitionList:
     """Pairs of a label and a value."""
 
     facts: tuple[tuple[Text, Text], ...]
@@ -78,7 +78,7 @@ class Facts:
 
 
 @dataclass(frozen=True)
-class Tiles:
+class KeyFigures:
     """The few figures to see first: label, value, remark."""
 
     tiles: tuple[tuple[Text, Text, Text], ...]
@@ -141,7 +141,7 @@ class Thumbnail:
 
 
 @dataclass(frozen=True)
-class Sheet:
+class PictureSheet:
     """A contact sheet; `key` is its anchor."""
 
     key: str
@@ -150,7 +150,17 @@ class Sheet:
     kind: Literal["sheet"] = field(default="sheet", init=False)
 
 
-Block: TypeAlias = Table | Paragraph | Items | Facts | Tiles | Notice | Command | Picture | Sheet
+Block: TypeAlias = (
+    Table
+    | Paragraph
+    | Items
+    | DefinitionList
+    | KeyFigures
+    | Notice
+    | Command
+    | Picture
+    | PictureSheet
+)
 
 
 @dataclass(frozen=True)
@@ -172,9 +182,9 @@ def words(text: Text, *, mark: str = "") -> Cell:
     return Cell(text, mark=mark)
 
 
-def facts(*pairs: tuple[Text, Text]) -> Facts:
+def facts(*pairs: tuple[Text, Text]) -> DefinitionList:
     """Return labels and values; those without a value are left out."""
-    return Facts(tuple((label, value) for label, value in pairs if value))
+    return DefinitionList(tuple((label, value) for label, value in pairs if value))
 
 
 EMPTY = Cell("–", numeric=True, mark="quiet")

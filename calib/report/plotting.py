@@ -48,26 +48,26 @@ MANY_LABELS = 40
 
 
 @dataclass(frozen=True)
-class Look:
+class PlotStyle:
     """How a model or fit is drawn."""
 
     colour: str
     marker: str
 
 
-LOOKS: Mapping[str, Look] = {
-    "base": Look(VERMILLION, "s"),
-    "axis-offset": Look(BLUE, "o"),
-    "axis-tilt": Look(GREEN, "^"),
-    "encoder": Look(PURPLE, "D"),
+PLOT_STYLES: Mapping[str, PlotStyle] = {
+    "base": PlotStyle(VERMILLION, "s"),
+    "axis-offset": PlotStyle(BLUE, "o"),
+    "axis-tilt": PlotStyle(GREEN, "^"),
+    "encoder": PlotStyle(PURPLE, "D"),
 }
 
-_OTHERS = (Look(BLACK, "v"), Look(ORANGE, "P"), Look(SKY, "X"), Look(GREY, "<"))
+_OTHERS = (PlotStyle(BLACK, "v"), PlotStyle(ORANGE, "P"), PlotStyle(SKY, "X"), PlotStyle(GREY, "<"))
 
 
-def look(name: str) -> Look:
+def plot_style(name: str) -> PlotStyle:
     """Return how a model is drawn: always the same way."""
-    return LOOKS.get(name) or _OTHERS[sum(name.encode()) % len(_OTHERS)]
+    return PLOT_STYLES.get(name) or _OTHERS[sum(name.encode()) % len(_OTHERS)]
 
 
 _STYLE: Any = {
@@ -278,7 +278,7 @@ def thinned(count: int, most: int) -> NDArray[np.intp]:
     return np.linspace(0, count - 1, most).round().astype(np.intp)
 
 
-def cloud(axes: Axes, x: NDArray[Any], y: NDArray[Any], look_: Look, **style: Any) -> None:
+def cloud(axes: Axes, x: NDArray[Any], y: NDArray[Any], look_: PlotStyle, **style: Any) -> None:
     """Draw points, rasterised and smaller where they are many."""
     many = len(x) > MANY_POINTS
     settings = {"markersize": 2.0 if many else 5.0, "rasterized": many} | style

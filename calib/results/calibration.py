@@ -72,7 +72,7 @@ class GazeResult:
     """
 
     rows: Observations
-    sense: Gate
+    encoder_direction: Gate
     linear: LinearFit | None
     convex: ConvexFit | None
     robust: Mapping[str, RobustFit]

@@ -135,7 +135,9 @@ def _robust(where: str, fit: RobustFit) -> Iterator[Entry]:
     yield Entry(f"{where}/values", fit.values, units, "estimate")
     yield Entry(f"{where}/covariance", fit.covariance, units, "row by column, product of units")
     yield Entry(f"{where}/residual", fit.residual_mrad, "mrad", "(num / z) - (x1c + cot a)")
-    yield Entry(f"{where}/standardised", fit.standardised, "1", "closure over stated uncertainty")
+    yield Entry(
+        f"{where}/standardised", fit.standardised, "1", "misclosure over stated uncertainty"
+    )
 
 
 def _posterior(where: str, p: Posterior) -> Iterator[Entry]:

@@ -64,8 +64,8 @@ CAMERA_LINES = (
 
 GROUP_LINE = (
     f"Several rows have their reference depth from one measurement. The line {GROUP_SOURCE!r} is "
-    "what it adds to the uncertainty of the parameters that such rows err together and not one by "
-    "one; a reading has no part in it."
+    "what it adds to the uncertainty of the parameters that such rows have a common error, not "
+    "independent ones; a reading has no part in it."
 )
 
 NORMS = (

@@ -11,7 +11,7 @@ from calib.core.errors import EstimationError, InputError, Problem
 from calib.dataset.tables import GazeTable
 from calib.geometry.board import Board, Corners
 from calib.geometry.camera import Camera
-from calib.images.bundle import bowed, finite
+from calib.images.bundle import deformed, finite
 from calib.images.detection.grid import orient_like
 from calib.images.mrcal.solves import MIN_CORNERS
 from calib.images.pairs import single_view_pose
@@ -19,7 +19,7 @@ from calib.images.stereo.reference import StereoReference
 from calib.images.stereo.solve import CameraPair
 from calib.images.stereo.triangulate import shared_names
 from calib.rows.common_errors import Shared
-from calib.rows.from_table import U_PIXEL, CameraSet, Sightings
+from calib.rows.from_table import U_PIXEL, CameraSet, ImageObservations
 
 POSE = 6
 """Unknowns of the pose of a board."""
@@ -56,7 +56,7 @@ def shared_errors(rig: CameraPair, stereo: StereoReference | None) -> Shared:
     return Shared.of(names, covariance)
 
 
-def sight(
+def observe_images(
     table: GazeTable,
     board: Board,
     corners_c1: Corners | None,
@@ -65,7 +65,7 @@ def sight(
     shared: Shared,
     noise: CornerNoise,
     cameras: CameraSet,
-) -> Sightings:
+) -> ImageObservations:
     """Return what the images of a table's rows say.
 
     Parameters
@@ -91,7 +91,7 @@ def sight(
     _refuse_missing(table, table.image_c1, pixel_c1)
     _refuse_missing(table, table.image_c2, pixel_c2)
     z, u_z, by_common = _depths(table, stereo, shared)
-    return Sightings(
+    return ImageObservations(
         pixel_c1=pixel_c1,
         pixel_c2=pixel_c2,
         u_c1_px=_corner_noise(views_c1, board, cameras.c1, noise.warp_mm, least=noise.c1_px),
@@ -125,7 +125,7 @@ def _corner_noise(
     """
     if camera is None:
         return least
-    points = bowed(board.object_points(), warp_mm)
+    points = deformed(board.object_points(), warp_mm)
     found = []
     for view in views:
         coordinates = 2 * int(finite(view).sum())

@@ -29,7 +29,7 @@ A corner or a blob's centre by any subpixel method, on a picture in focus.
 
 
 @dataclass(frozen=True)
-class Sightings:
+class ImageObservations:
     """What images say of the rows of a table; NaN where a row has no image for it.
 
     Parameters
@@ -132,7 +132,9 @@ class ValidationRows:
     references: Mapping[str, FloatArray]
 
 
-def observe(table: GazeTable, setup: Setup, sightings: Sightings | None) -> Observations:
+def observe(
+    table: GazeTable, setup: Setup, image_observations: ImageObservations | None
+) -> Observations:
     """Return the rows of a table with their covariance.
 
     Raises
@@ -141,7 +143,11 @@ def observe(table: GazeTable, setup: Setup, sightings: Sightings | None) -> Obse
         If a pixel of the table lies where the lens model has no ray.
     """
     settings, shared = setup.settings, setup.shared
-    seen = _no_sightings(len(table), shared.factor.shape[1]) if sightings is None else sightings
+    seen = (
+        _no_image_observations(len(table), shared.factor.shape[1])
+        if image_observations is None
+        else image_observations
+    )
     source = _Source(table, settings, setup.cameras, shared, seen)
     ray, residual, depth = source.direction(), source.gaze_residual(), source.depth()
     # A motor rests on whole counts. Where C2's image tells how far the target then is from the
@@ -176,21 +182,21 @@ def observe(table: GazeTable, setup: Setup, sightings: Sightings | None) -> Obse
 
 
 def observe_validation(
-    table: GazeTable, setup: Setup, sightings: Sightings | None
+    table: GazeTable, setup: Setup, image_observations: ImageObservations | None
 ) -> ValidationRows:
     """Return validation rows: as `observe`, with whose depth each uses and further references."""
     place = {name: i for i, name in enumerate(table.ids)}
     depth_of = [i if d is None else place[d] for i, d in enumerate(table.depth_row)]
     return ValidationRows(
-        rows=observe(table, setup, sightings),
+        rows=observe(table, setup, image_observations),
         depth_of=np.array(depth_of, dtype=np.int64),
         references=dict(table.references),
     )
 
 
-def _no_sightings(n: int, k: int) -> Sightings:
+def _no_image_observations(n: int, k: int) -> ImageObservations:
     nothing, nowhere = np.full(n, np.nan), np.full((n, 2), np.nan)
-    return Sightings(
+    return ImageObservations(
         pixel_c1=nowhere,
         pixel_c2=nowhere,
         u_c1_px=U_PIXEL,
@@ -218,7 +224,7 @@ class _Source:
     settings: RowSettings
     cameras: CameraSet
     shared: Shared
-    seen: Sightings
+    seen: ImageObservations
 
     def _zeros(self, *shape: int) -> FloatArray:
         return np.zeros((len(self.table), *shape))

@@ -15,7 +15,7 @@ import numpy as np
 from calib.core.arrays import FloatArray, IntArray
 from calib.dataset.tables import GazeTable
 from calib.geometry.plane import OBSERVABLE
-from calib.rows.from_table import Setup, Sightings, observe
+from calib.rows.from_table import ImageObservations, Setup, observe
 from calib.rows.observations import Observations
 
 SAME_PLACE = 5.0
@@ -40,7 +40,9 @@ ROUNDS = 2
 another."""
 
 
-def observe_gazes(table: GazeTable, setup: Setup, sightings: Sightings | None) -> Observations:
+def observe_gazes(
+    table: GazeTable, setup: Setup, image_observations: ImageObservations | None
+) -> Observations:
     """Return the calibration rows of a table, repeated gazes combined: `observe`, then `combine`.
 
     Raises
@@ -48,10 +50,10 @@ def observe_gazes(table: GazeTable, setup: Setup, sightings: Sightings | None) -
     InputError
         If a pixel of the table lies where the lens model has no ray.
     """
-    return combine(observe(table, setup, sightings))
+    return combine(observe(table, setup, image_observations))
 
 
-def repeats_told(table: GazeTable, rows: Observations) -> str | None:
+def repetition_warning(table: GazeTable, rows: Observations) -> str | None:
     """Return what its reader should know of a table whose rows became fewer; None if hardly any."""
     if len(rows) >= (1 - BY_CHANCE) * len(table):
         return None

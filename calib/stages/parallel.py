@@ -58,7 +58,7 @@ def processors() -> int:
     return len(os.sched_getaffinity(0))
 
 
-def run_side_by_side(
+def run_parallel(
     requests: Sequence[Request],
     *,
     workers: int,

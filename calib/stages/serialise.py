@@ -13,7 +13,7 @@ T = TypeVar("T")
 ARRAY = "array"
 
 
-def take_apart(value: object) -> tuple[Any, dict[str, np.ndarray[Any, Any]]]:
+def serialise(value: object) -> tuple[Any, dict[str, np.ndarray[Any, Any]]]:
     """Return a JSON-able document of a dataclass, and its arrays by the keys it refers to.
 
     Understands bool, int, float, str, None, tuples, mappings with text keys, numpy arrays and
@@ -32,7 +32,7 @@ def take_apart(value: object) -> tuple[Any, dict[str, np.ndarray[Any, Any]]]:
     return converter.unstructure(value), arrays
 
 
-def put_together(document: Any, arrays: dict[str, np.ndarray[Any, Any]], kind: type[T]) -> T:
+def deserialise(document: Any, arrays: dict[str, np.ndarray[Any, Any]], kind: type[T]) -> T:
     """Return the dataclass of type `kind` that `take_apart` took apart.
 
     Raises

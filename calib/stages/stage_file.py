@@ -19,7 +19,7 @@ from cattrs.errors import BaseValidationError, ForbiddenExtraKeysError
 
 from calib.core.errors import CalibError
 from calib.core.hdf5 import hdf5_arrays, hdf5_bytes
-from calib.stages.serialise import put_together, take_apart
+from calib.stages.serialise import deserialise, serialise
 
 DOCUMENT = "document"
 
@@ -49,7 +49,7 @@ class Failure:
 
 def pack(outcome: Any) -> bytes:
     """Return a dataclass, or a failure, as bytes."""
-    document, arrays = take_apart(outcome)
+    document, arrays = serialise(outcome)
     text = json.dumps([isinstance(outcome, Failure), document], ensure_ascii=False).encode()
 
     def fill(file: h5py.File) -> None:
@@ -71,12 +71,12 @@ def unpack(content: bytes, kind: Any) -> Any:
     try:
         arrays = dict(hdf5_arrays(content))
         failed, document = json.loads(arrays.pop(DOCUMENT).tobytes().decode())
-        return put_together(document, arrays, Failure if failed is True else kind)
+        return deserialise(document, arrays, Failure if failed is True else kind)
     except _UNREADABLE as error:
         raise ValueError(str(error)) from error
 
 
-def sealed(fingerprint: str, content: bytes) -> bytes:
+def with_header(fingerprint: str, content: bytes) -> bytes:
     """Return the bytes of a stage file."""
     return _seal(fingerprint, content) + content
 

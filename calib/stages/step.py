@@ -11,7 +11,7 @@ from typing import Any, Concatenate, Generic, TypeVar, overload
 
 from calib.core.errors import EstimationError
 from calib.stages.fingerprint import code_fingerprint, digest
-from calib.stages.serialise import take_apart
+from calib.stages.serialise import serialise
 from calib.stages.stage_file import Failure
 
 T = TypeVar("T")
@@ -62,7 +62,7 @@ class Staged(Generic[T_co]):
 
 def given(name: str, value: T) -> Staged[T]:
     """Return a dataclass that no stage computed, e.g. a table, as a stage's input."""
-    document, arrays = take_apart(value)
+    document, arrays = serialise(value)
     contents = {
         key: [str(a.dtype), a.shape, sha256(a.tobytes()).hexdigest()] for key, a in arrays.items()
     }

@@ -14,18 +14,18 @@ from typing import Any, TypeVar
 
 from calib.core.errors import UsageError
 from calib.stages.call import address, call_stage, result_type
-from calib.stages.parallel import Request, processors, run_side_by_side
-from calib.stages.stage_file import Failure, is_intact, pack, read, sealed
+from calib.stages.parallel import Request, processors, run_parallel
+from calib.stages.stage_file import Failure, is_intact, pack, read, with_header
 from calib.stages.step import Staged, Step, gather, given, optional, stage
 
 __all__ = [
     "Staged",
     "Step",
     "Store",
+    "atomic_write",
     "gather",
     "given",
     "optional",
-    "replacing",
     "stage",
     "write_bytes",
 ]
@@ -38,7 +38,7 @@ PARTIAL = ".part"
 
 
 @contextmanager
-def replacing(path: Path) -> Iterator[Path]:
+def atomic_write(path: Path) -> Iterator[Path]:
     """Give a temporary path beside `path`; on success it takes that name, else it vanishes.
 
     Raises
@@ -71,7 +71,7 @@ def _cannot_write(path: Path, error: OSError) -> UsageError:
 
 def write_bytes(path: Path, content: bytes) -> None:
     """Write a file so that its name never stands for half of it."""
-    with replacing(path) as temporary:
+    with atomic_write(path) as temporary:
         temporary.write_bytes(content)
 
 
@@ -130,7 +130,7 @@ class Store:
             for left in folder.glob(f".*{PARTIAL}"):
                 left.unlink(missing_ok=True)
 
-    def side_by_side(self, steps: Mapping[str, Step[T]]) -> dict[str, Staged[T]]:
+    def run_parallel(self, steps: Mapping[str, Step[T]]) -> dict[str, Staged[T]]:
         """Return the outcomes of stages that do not need each other, by the keys of `steps`.
 
         They are computed at the same time, as far as there are processors.
@@ -138,7 +138,7 @@ class Store:
         missing = [s for s in steps.values() if not self._has(s) and s.failed is None]
         workers = min(len(missing), processors())
         if workers > 1:
-            self._run_side_by_side(missing, workers)
+            self._run_workers(missing, workers)
         return {key: self.run(step) for key, step in steps.items()}
 
     def run(self, step: Step[T]) -> Staged[T]:
@@ -157,7 +157,7 @@ class Store:
         self._keep(step, pack(outcome), started)
         return Staged(step.name, step.fingerprint, lambda: outcome)
 
-    def _run_side_by_side(self, steps: Sequence[Step[Any]], workers: int) -> None:
+    def _run_workers(self, steps: Sequence[Step[Any]], workers: int) -> None:
         """Compute steps in processes of their own and keep each outcome as it comes."""
         by_name = {step.name: step for step in steps}
         starts: dict[str, float] = {}
@@ -169,9 +169,7 @@ class Store:
             Request(s.name, address(s.function), tuple(map(pack, s.values())), s.settings)
             for s in steps
         ]
-        outcomes = run_side_by_side(
-            requests, workers=workers, started=started, progress=self.progress
-        )
+        outcomes = run_parallel(requests, workers=workers, started=started, progress=self.progress)
         with closing(outcomes):
             for name, content in outcomes:
                 self._keep(by_name[name], content, starts[name])
@@ -187,5 +185,5 @@ class Store:
         return is_intact(self._path(step), step.fingerprint)
 
     def _keep(self, step: Step[Any], content: bytes, started: float) -> None:
-        write_bytes(self._path(step), sealed(step.fingerprint, content))
+        write_bytes(self._path(step), with_header(step.fingerprint, content))
         self.durations[step.name] = time.perf_counter() - started

@@ -11,7 +11,7 @@ from typing import Any
 from calib.core.errors import EstimationError, UsageError
 from calib.stages.call import address
 from calib.stages.fingerprint import code_fingerprint, digest
-from calib.stages.parallel import Request, run_side_by_side
+from calib.stages.parallel import Request, run_parallel
 from calib.stages.stage_file import Failure, unpack
 from calib.study.conditions import ADVICE, CONDITIONS
 
@@ -94,7 +94,7 @@ def _on_processes(tasks: Sequence[Task], jobs: int) -> Iterator[Record]:
         )
         for task in tasks
     ]
-    with closing(run_side_by_side(requests, workers=min(jobs, len(tasks)))) as outcomes:
+    with closing(run_parallel(requests, workers=min(jobs, len(tasks)))) as outcomes:
         for name, content in outcomes:
             record = unpack(content, Record)
             if isinstance(record, Failure):

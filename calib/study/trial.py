@@ -22,7 +22,7 @@ from calib.fit.posterior import laplace, posterior_of
 from calib.fit.priors import prior_of
 from calib.fit.robust import RobustFit, fit_model
 from calib.fit.start import first_guess
-from calib.geometry.misclosure import closure
+from calib.geometry.misclosure import misclosure
 from calib.geometry.parameters import MODELS, Model
 from calib.instrument.calibrated import CalibratedInstrument, instrument_from_draws
 from calib.study.conditions import Condition
@@ -135,7 +135,7 @@ def cramer_rao(model: Model, bench: Bench) -> FloatArray:
     shared errors left out.
     """
     theta, rows = bench.rig.theta, bench.true_rows
-    slope = closure(theta, rows.gaze, rows.z_mm).by_theta[:, list(model.indices)]
+    slope = misclosure(theta, rows.gaze, rows.z_mm).by_theta[:, list(model.indices)]
     slope = slope / row_noise(theta, rows).sigma[:, None]
     information = slope.T @ slope + prior_of(model, bench.priors).precision
     return np.asarray(np.linalg.inv(information), dtype=np.float64)
@@ -150,8 +150,8 @@ def _ideal(model: Model, bench: Bench, bound: FloatArray) -> FloatArray:
     """
     theta, rows = bench.rig.theta, bench.true_rows
     sigma = row_noise(theta, rows).sigma
-    at_truth = closure(theta, rows.gaze, rows.z_mm).by_theta[:, list(model.indices)]
-    seen = closure(theta, bench.rows.gaze, bench.rows.z_mm).value
+    at_truth = misclosure(theta, rows.gaze, rows.z_mm).by_theta[:, list(model.indices)]
+    seen = misclosure(theta, bench.rows.gaze, bench.rows.z_mm).value
     prior, truth = prior_of(model, bench.priors), theta[list(model.indices)]
     pull = -at_truth.T @ (seen / sigma**2) + prior.shift - prior.precision @ truth
     estimate: FloatArray = truth + bound @ pull

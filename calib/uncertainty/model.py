@@ -106,12 +106,15 @@ class MeasurementModel:
         values
             x1c, y1c, alpha2 and gaze residual, shape (readings, 4, t).
         """
-        z = {lender: depth_of(Gaze(*values[lender])) for lender in set(self._depth_of)}
+        z = {
+            depth_source: depth_of(Gaze(*values[depth_source]))
+            for depth_source in set(self._depth_of)
+        }
         points = np.empty((self._count, 3, values.shape[2]))
         with np.errstate(invalid="ignore"):
-            for i, lender in enumerate(self._depth_of):
-                points[i, 2] = z[lender]
-                np.multiply(values[i, :2], z[lender], out=points[i, :2])
+            for i, depth_source in enumerate(self._depth_of):
+                points[i, 2] = z[depth_source]
+                np.multiply(values[i, :2], z[depth_source], out=points[i, :2])
         return points
 
     @property
@@ -272,10 +275,10 @@ def _with_lenders(points: Sequence[Reading]) -> tuple[list[Reading], tuple[int, 
     """Return the points and all readings whose depth they borrow, and whose depth each has."""
     readings, depth_of = list(points), []
     for point in points:
-        lender = point if point.depth_from is None else point.depth_from
-        place = next((i for i, r in enumerate(readings) if r is lender), None)
+        depth_source = point if point.depth_from is None else point.depth_from
+        place = next((i for i, r in enumerate(readings) if r is depth_source), None)
         if place is None:
-            readings.append(lender)
+            readings.append(depth_source)
         depth_of.append(len(readings) - 1 if place is None else place)
     return readings, tuple(depth_of)
 

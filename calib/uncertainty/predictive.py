@@ -43,7 +43,7 @@ class DepthPrediction:
         Standard deviation of the predictive distribution; infinite where it has none.
     low95_mm, high95_mm
         Probabilistically symmetric 95 % interval; `high95_mm` is infinite where the reading
-        cannot tell the target from one at infinity.
+        cannot distinguish the target from one at infinity.
     gum_u_mm
         By the linear law of propagation (JCGM 100).
     gum_valid

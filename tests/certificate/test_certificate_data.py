@@ -121,7 +121,7 @@ def test_parameters_of_a_posterior_state_its_shortest_interval() -> None:
     )
     # Rounded outwards to two digits of u: 95 % and up to 0.2 % more.
     assert 0.95 <= inside < 0.957
-    assert delta2.remark == "decided by the data"
+    assert delta2.remark == "identified by the data"
 
 
 def test_the_method_names_outliers_and_widened_uncertainties() -> None:

@@ -15,7 +15,7 @@ from calib.instrument.evidence import gather_evidence
 from calib.rows.common_errors import Shared
 from calib.rows.from_table import CameraSet, RowSettings, Setup, ValidationRows
 from calib.rows.observations import Observations
-from calib.stages.serialise import put_together, take_apart
+from calib.stages.serialise import deserialise, serialise
 from calib.uncertainty.evidence import Evidence
 from calib.uncertainty.measurement import Instrument, ParameterKnowledge, SharedErrors
 from calib.uncertainty.predictive import DepthPrediction
@@ -168,8 +168,8 @@ def test_shared_errors_of_the_intrinsics_make_depths_less_certain(found: Evidenc
 
 
 def test_evidence_can_be_stored(found: Evidence) -> None:
-    document, arrays = take_apart(found)
-    again = put_together(document, arrays, Evidence)
+    document, arrays = serialise(found)
+    again = deserialise(document, arrays, Evidence)
     assert again.checks == found.checks
     assert again.lengths == found.lengths
     assert again.depths[0].result == found.depths[0].result

@@ -84,7 +84,7 @@ def test_rows_cannot_tell_baseline_from_eccentricity(result: dict[str, Any]) -> 
     """Said in words, as warning and beside the numbers; no fault, as depth does not hang on it."""
     told = result["identifiability"]["axis-offset"]
     last = told["combinations"][-1]
-    assert "cannot tell L_b from e" in last["words"]
+    assert "cannot distinguish L_b from e" in last["words"]
     assert any(last["words"] in text for text in result["warnings"])
     assert last["singular_value"] < 1 < told["combinations"][-2]["singular_value"]
     assert told["parameters"]["eccentricity_mm"]["decided_by"] == "prior"

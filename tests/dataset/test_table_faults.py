@@ -33,7 +33,7 @@ FAULTS = {
     "unknown column": ("alpha2_deg", "alpha2deg", ["line 1", "'alpha2deg'", "mean 'alpha2_deg'"]),
     "column in capitals": ("x1c", "X1C", ["line 1", "'X1C'", "mean 'x1c'"]),
     "column of the manifest": ("y1c", "u_x1c", ["line 1", "unknown column 'u_x1c'"]),
-    "column twice": ("y1c", "x1c", ["line 1", "'x1c' stands twice", "rename"]),
+    "column twice": ("y1c", "x1c", ["line 1", "'x1c' occurs twice", "rename"]),
     "column without a name": ("y1c", "", ["line 1", "column 3 has no name"]),
     "no id": ("id,", "group,", ["column id is missing"]),
     "no reading": ("alpha2_deg", "z_two_mm", ["column alpha2_deg or ctan_alpha2 is missing"]),

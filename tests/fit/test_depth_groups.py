@@ -20,7 +20,7 @@ from calib.fit.leave_one_out import leave_one_out, of_sample
 from calib.fit.noise import own_sigma
 from calib.fit.posterior import laplace, posterior_of
 from calib.fit.robust import RobustFit, fit_model, fit_robust
-from calib.geometry.misclosure import closure
+from calib.geometry.misclosure import misclosure
 from calib.geometry.parameters import MODELS
 from calib.geometry.plane import OBSERVABLE
 from calib.plan.prepare import _without_groups
@@ -61,7 +61,7 @@ def test_one_row_a_group_is_a_row_s_own_error() -> None:
 
 def sandwich(rows: Observations, fit: RobustFit, group: np.ndarray) -> np.ndarray:
     """Return the covariance of the weighted estimate by a matrix of all rows, (p, p)."""
-    c = closure(fit.theta, rows.gaze, rows.z_mm, parameters=MODELS[fit.model].indices)
+    c = misclosure(fit.theta, rows.gaze, rows.z_mm, parameters=MODELS[fit.model].indices)
     sigma = own_sigma(c, rows.std)
     common = c.by_observable[:, OBSERVABLE.z] * rows.u_z_group_mm
     together = np.where(group[:, None] == group, np.outer(common, common), 0.0)
@@ -132,7 +132,7 @@ def test_sampled_density_has_the_scale_of_the_fit() -> None:
     assert fit.group_freedom > 1
     target = posterior_of(fit, rows, NO_PRIORS)
     plain = log_posterior(
-        rows, MODELS["base"], NO_PRIORS, fit.theta, aside=fit.aside, tails=fit.tails
+        rows, MODELS["base"], NO_PRIORS, fit.theta, rejected=fit.rejected, tails=fit.tails
     )
     x = np.tile(np.append(fit.values, 0.0), (2, 1))
     x[1, -1] = 0.3
@@ -146,8 +146,8 @@ def test_outliers_set_aside_have_no_part_in_their_group() -> None:
     rows, _ = simulated(rng, count=40, outliers=2)
     rows = grouped(rows, group)
     fit = fit_model(rows, NO_PRIORS, model="base")
-    assert fit.aside.sum() == 2
-    again = fit_robust(rows.take(~fit.aside), MODELS["base"], NO_PRIORS, start=fit.theta)
+    assert fit.rejected.sum() == 2
+    again = fit_robust(rows.take(~fit.rejected), MODELS["base"], NO_PRIORS, start=fit.theta)
     np.testing.assert_allclose(fit.by_groups, again.by_groups, rtol=1e-4)
 
 

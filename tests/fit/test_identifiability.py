@@ -21,7 +21,7 @@ from calib.geometry.plane import OBSERVABLE
 from calib.rows.observations import Observations
 from calib.simulate.rig import Rig, draw_rig
 from calib.simulate.tables import observe
-from calib.stages.serialise import put_together, take_apart
+from calib.stages.serialise import deserialise, serialise
 
 PRIORS = Priors({})
 
@@ -62,7 +62,9 @@ def test_rows_near_the_axis_cannot_tell_baseline_from_eccentricity() -> None:
     assert worst.std > UNDETERMINED
     assert worst.names == ("baseline_mm", "eccentricity_mm")
     assert worst.told_by == "prior"
-    assert worst.words.startswith("these targets cannot tell L_b from e: spread them over readings")
+    assert worst.words.startswith(
+        "these targets cannot distinguish L_b from e: spread them over readings"
+    )
     assert "state a prior of eccentricity_mm" in worst.words
     assert found.open == (worst,)
     # The priors hold what the rows do not.
@@ -193,8 +195,8 @@ def test_it_is_kept_and_read_back() -> None:
         found,
         combinations=tuple(replace(c, std=np.inf, singular_value=0.0) for c in found.combinations),
     )
-    document, arrays = take_apart(blind)
-    again = put_together(json.loads(json.dumps(document)), arrays, Identifiability)
+    document, arrays = serialise(blind)
+    again = deserialise(json.loads(json.dumps(document)), arrays, Identifiability)
     assert again.combinations[0].std == np.inf
     assert [c.words for c in again.combinations] == [c.words for c in blind.combinations]
     assert again.gate == blind.gate

@@ -13,7 +13,7 @@ from calib.fit.convex import fit_convex
 from calib.fit.linear import fit_bilinear, fit_linear
 from calib.fit.noise import row_noise
 from calib.fit.start import first_guess
-from calib.geometry.misclosure import closure
+from calib.geometry.misclosure import misclosure
 
 
 def test_table_1_gives_the_papers_result() -> None:
@@ -57,7 +57,7 @@ def test_bilinear_is_the_weighted_least_squares_minimum(axis_z: bool) -> None:
     rows, _ = simulated(np.random.default_rng(2), count=40, **offset)
     weights = 1 / row_noise(first_guess(rows), rows).sigma
     theta = fit_bilinear(rows, weights, axis_z=axis_z)
-    c = closure(theta, rows.gaze, rows.z_mm)
+    c = misclosure(theta, rows.gaze, rows.z_mm)
     free = [0, 1, 2] if axis_z else [0, 1]
     terms = (weights**2 * c.value)[:, None] * c.by_theta[:, free]
     assert np.all(np.abs(terms.sum(axis=0)) < 2e-2 * np.abs(terms).sum(axis=0))

@@ -25,7 +25,7 @@ from calib.fit.posterior import (
     sample_posterior,
 )
 from calib.fit.robust import fit_robust
-from calib.geometry.misclosure import closure_value
+from calib.geometry.misclosure import misclosure_value
 from calib.geometry.parameters import MODELS, embed
 
 
@@ -65,7 +65,7 @@ def test_posterior_of_a_long_table_is_the_normal_one() -> None:
     assert posterior.agrees
     assert posterior.steps < BLOCK_STEPS
     target = log_posterior(
-        rows, MODELS["base"], NO_PRIORS, fit.theta, aside=fit.aside, tails=fit.tails
+        rows, MODELS["base"], NO_PRIORS, fit.theta, rejected=fit.rejected, tails=fit.tails
     )
     centre, rough = laplace(fit, target)
     unit = np.sqrt(np.diag(rough))
@@ -105,13 +105,13 @@ def test_series_of_small_angles() -> None:
 
 @pytest.mark.parametrize("encoder_sin_rad", [0.01, 0.4])
 def test_rows_turned_by_the_encoder(encoder_sin_rad: float) -> None:
-    """Property: the density by turned products is that of the closure, for any turn."""
+    """Property: the density by turned products is that of the misclosure, for any turn."""
     model = MODELS["encoder"]
     rows, theta = simulated(np.random.default_rng(0), count=23, axis_z_mm=-20.0)
     target = log_posterior(rows, model, NO_PRIORS, theta)
     free = theta[list(model.indices)]
     free[-1] = encoder_sin_rad
-    miss = closure_value(embed(free, model.free), rows.gaze, rows.z_mm) / target.sigma
+    miss = misclosure_value(embed(free, model.free), rows.gaze, rows.z_mm) / target.sigma
     expected = log_density(miss, 0.1, target.tails) + target.log_unit
     found = target.pointwise(np.append(free, 0.1)[None])[0]
     np.testing.assert_allclose(found, expected, rtol=1e-11)
@@ -119,10 +119,10 @@ def test_rows_turned_by_the_encoder(encoder_sin_rad: float) -> None:
 
 def test_rows_set_aside_are_left_out_once() -> None:
     rows, theta = simulated(np.random.default_rng(0), count=30)
-    aside = np.arange(30) % 7 == 0
-    target = log_posterior(rows, MODELS["base"], NO_PRIORS, theta, aside=aside)
+    rejected = np.arange(30) % 7 == 0
+    target = log_posterior(rows, MODELS["base"], NO_PRIORS, theta, rejected=rejected)
     x = np.append(theta[list(MODELS["base"].indices)], 0.0)[None]
-    np.testing.assert_array_equal(target(x), target.only(np.flatnonzero(~aside))(x))
+    np.testing.assert_array_equal(target(x), target.only(np.flatnonzero(~rejected))(x))
     assert target._heard is target._heard
 
 

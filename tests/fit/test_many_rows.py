@@ -16,10 +16,10 @@ from scipy.optimize import minimize_scalar
 from calib.fit import robust, row_sums
 from calib.fit.noise import CLEAN, ROBUST, Tails, is_outlier, log_density, row_noise
 from calib.fit.priors import Measured, NormalKnowledge, Priors, measured_of, prior_of
+from calib.fit.reweighting import LAST_STEP, Problem, Solution
 from calib.fit.robust import RobustFit, fit_robust
 from calib.fit.row_sums import residuals, sum_rows
-from calib.fit.settle import LAST_STEP, Problem, Solution
-from calib.geometry.misclosure import closure, closure_value
+from calib.geometry.misclosure import misclosure, misclosure_value
 from calib.geometry.parameters import MODELS, Model, embed
 from calib.rows.observations import Observations
 
@@ -99,7 +99,7 @@ def test_newton_steps_and_optimiser_agree(
     assert len(near) == 1
     assert len(quick.outliers) >= outliers
     assert (quick.outliers, quick.tails) == (slow.outliers, slow.tails)
-    np.testing.assert_array_equal(quick.aside, slow.aside)
+    np.testing.assert_array_equal(quick.rejected, slow.rejected)
     tolerance = np.sqrt(1e-14 * COUNT) + LAST_STEP
     std = np.sqrt(np.diag(slow.covariance))
     np.testing.assert_allclose((quick.values - slow.values) / std, 0, atol=tolerance)
@@ -120,12 +120,12 @@ def test_the_estimate_has_the_greatest_density(model: str, outliers: int) -> Non
     """
     rows = rows_of(model, outliers=outliers)
     fit = fit_robust(rows, MODELS[model], MEASURED)
-    kept = rows.take(~fit.aside)
+    kept = rows.take(~fit.rejected)
     sigma = row_noise(fit.theta, kept).sigma
     known = prior_of(MODELS[model], MEASURED) + measured_of(MODELS[model], MEASURED)
 
     def log_posterior(values: np.ndarray) -> float:
-        miss = closure_value(embed(values, fit.names), kept.gaze, kept.z_mm) / sigma
+        miss = misclosure_value(embed(values, fit.names), kept.gaze, kept.z_mm) / sigma
         rows_part = log_density(miss, np.log(fit.noise_scale), fit.tails).sum()
         return float(rows_part - values @ known.precision @ values / 2 + known.shift @ values)
 
@@ -181,7 +181,7 @@ def test_order_of_rows_does_not_matter(model: str, outliers: int) -> None:
     one = fit_robust(rows, MODELS[model], NO_PRIORS)
     other = fit_robust(rows.take(order), MODELS[model], NO_PRIORS)
     assert set(one.outliers) == set(other.outliers)
-    np.testing.assert_array_equal(one.aside[order], other.aside)
+    np.testing.assert_array_equal(one.rejected[order], other.rejected)
     std = np.sqrt(np.diag(one.covariance))
     np.testing.assert_allclose((one.values - other.values) / std, 0, atol=2 * LAST_STEP)
     assert one.noise_scale == pytest.approx(other.noise_scale, rel=2 * LAST_STEP)
@@ -206,7 +206,7 @@ def test_sums_are_those_of_all_rows_at_once(monkeypatch: pytest.MonkeyPatch) -> 
     model, scale = MODELS["encoder"], 1.3
     rows, theta = simulated(np.random.default_rng(4), count=300, outliers=30, **TRUTH)
     sums = sum_rows(theta, rows, model, scale=scale, tails=ROBUST)
-    c = closure(theta, rows.gaze, rows.z_mm, parameters=model.indices)
+    c = misclosure(theta, rows.gaze, rows.z_mm, parameters=model.indices)
     sigma = row_noise(theta, rows).sigma
     np.testing.assert_allclose(sums.sigma, sigma, rtol=1e-14)
     np.testing.assert_allclose(sums.standardised, c.value / sigma, rtol=1e-10)
@@ -221,7 +221,7 @@ def test_sums_are_those_of_all_rows_at_once(monkeypatch: pytest.MonkeyPatch) -> 
         return sum_rows(theta + direction, rows, model, scale=scale, tails=ROBUST).gradient
 
     def cost(direction: np.ndarray) -> float:
-        miss = closure_value(theta + direction, rows.gaze, rows.z_mm) / sigma
+        miss = misclosure_value(theta + direction, rows.gaze, rows.z_mm) / sigma
         return -float(log_density(miss, np.log(scale), ROBUST).sum())
 
     step = 1e-2 / np.sqrt(np.diag(sums.information))
@@ -288,7 +288,7 @@ def test_a_sharp_prior_leaves_a_wide_one_alone() -> None:
 
 
 def test_memory_beside_the_rows() -> None:
-    """Bytes a row: ten numbers, and with a tenth set aside a copy of the table."""
+    """Bytes a row: ten numbers, and with a tenth rejected a copy of the table."""
     for outliers, most in ((0, 110), (10_000, 200)):
         rows = rows_of("axis-offset", count=100_000, outliers=outliers)
         tracemalloc.start()

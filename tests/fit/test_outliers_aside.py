@@ -1,4 +1,4 @@
-"""Rows set aside as outliers. Evidence: simulated truth, with negative controls."""
+"""Rows rejected as outliers. Evidence: simulated truth, with negative controls."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.random import SeedSequence
 
 from calib.fit.compare import compare_samples
 from calib.fit.importance import ImportanceSample, sample_importance
-from calib.fit.noise import CLEAN, ROBUST, SPARE_FREEDOM, Tails, set_aside
+from calib.fit.noise import CLEAN, ROBUST, SPARE_FREEDOM, Tails, reject_outliers
 from calib.fit.posterior import laplace, posterior_of
 from calib.fit.priors import Priors
 from calib.fit.robust import RobustFit, fit_robust
@@ -85,10 +85,10 @@ def test_model_choice_does_not_hang_on_gross_errors() -> None:
 def test_few_rows_are_all_kept() -> None:
     """Negative control: with six rows nobody can say which is the outlier."""
     standardised = np.array([0.5, -0.3, 0.2, 0.1, -0.4, 40.0])
-    assert not set_aside(standardised, 1.0, parameters=2.0).any()
+    assert not reject_outliers(standardised, 1.0, parameters=2.0).any()
     many = np.append(standardised, np.full(6, 0.3))
-    assert set_aside(many, 1.0, parameters=2.0).sum() == 1
-    assert not set_aside(many, 1.0, parameters=11 - SPARE_FREEDOM + 0.1).any()
+    assert reject_outliers(many, 1.0, parameters=2.0).sum() == 1
+    assert not reject_outliers(many, 1.0, parameters=11 - SPARE_FREEDOM + 0.1).any()
 
 
 @pytest.mark.parametrize(
@@ -109,13 +109,13 @@ def test_tails_are_robust_where_outliers_stay_in(
         rows = spoil(rows_of(number, count=count, model="base"), gross)
         fit = fit_robust(rows, MODELS["base"], PRIORS)
         assert fit.tails == tails
-        assert tuple(np.flatnonzero(fit.aside)) == (gross if tails == CLEAN else ())
+        assert tuple(np.flatnonzero(fit.rejected)) == (gross if tails == CLEAN else ())
 
 
 def test_too_many_are_no_outliers() -> None:
-    """Negative control: where over a third disagrees, none is set aside."""
+    """Negative control: where over a third disagrees, none is rejected."""
     standardised = np.concatenate([np.full(18, 0.5), np.full(12, 30.0)])
-    assert not set_aside(standardised, 1.0, parameters=2.0).any()
+    assert not reject_outliers(standardised, 1.0, parameters=2.0).any()
 
 
 def test_clean_rows_are_hardly_ever_set_aside() -> None:
@@ -125,4 +125,4 @@ def test_clean_rows_are_hardly_ever_set_aside() -> None:
 
 
 def fitted_aside(rows: Observations) -> bool:
-    return bool(fit_robust(rows, MODELS["axis-offset"], PRIORS).aside.any())
+    return bool(fit_robust(rows, MODELS["axis-offset"], PRIORS).rejected.any())

@@ -18,7 +18,7 @@ from calib.fit.noise import CLEAN, log_density, row_noise
 from calib.fit.posterior import ENSEMBLES, Posterior, laplace, sample_posterior
 from calib.fit.priors import NOISE_SCALE, Measured, Priors, measured_of, prior_of
 from calib.fit.robust import RobustFit, fit_robust
-from calib.geometry.misclosure import closure
+from calib.geometry.misclosure import misclosure
 from calib.geometry.parameters import MODELS, embed
 
 
@@ -39,7 +39,7 @@ def posteriors(fits: dict[str, RobustFit]) -> dict[str, Posterior]:
 
 @pytest.mark.parametrize("name", list(MODELS))
 def test_log_posterior_is_the_sum_of_its_parts(name: str) -> None:
-    """Property: the matrix product equals row densities from `closure` plus priors, any model."""
+    """Property: the matrix product equals row densities from `misclosure` plus priors, any model."""
     model, rng = MODELS[name], np.random.default_rng(0)
     rows, theta = simulated(rng, count=17, axis_z_mm=-20.0)
     measured = Measured(("eccentricity_mm",), np.array([2.0]), np.array([[0.5]]))
@@ -52,7 +52,7 @@ def test_log_posterior_is_the_sum_of_its_parts(name: str) -> None:
     knowledge = prior_of(model, priors) + measured_of(model, priors)
     expected = []
     for draw in draws:
-        miss = closure(embed(draw[:-1], model.free), rows.gaze, rows.z_mm).value / sigma
+        miss = misclosure(embed(draw[:-1], model.free), rows.gaze, rows.z_mm).value / sigma
         free = draw[:-1]
         quadratic = free @ knowledge.precision @ free / 2 - free @ knowledge.shift
         noise = ((draw[-1] - 0.2) / 0.5) ** 2 / 2

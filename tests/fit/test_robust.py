@@ -11,12 +11,12 @@ from fit_rows import NO_PRIORS, simulated, table_1
 from scipy.integrate import quad
 from scipy.stats import norm
 
-from calib.checks.encoder_direction import check_sense
+from calib.checks.encoder_direction import check_encoder_direction
 from calib.core.errors import EstimationError
 from calib.fit.noise import CLEAN, ROBUST, Tails, log_density, row_noise
 from calib.fit.priors import Measured, Priors
 from calib.fit.robust import fit_model, fit_robust
-from calib.geometry.misclosure import closure
+from calib.geometry.misclosure import misclosure
 from calib.geometry.parameters import MODELS
 
 OFFSET = MODELS["axis-offset"]
@@ -77,9 +77,9 @@ def test_constants_of_the_t_density(tails: Tails) -> None:
 
 
 def test_effective_variance_by_simulation() -> None:
-    """Repeated simulation: the closure of noisy rows has the standard deviation stated."""
+    """Repeated simulation: the misclosure of noisy rows has the standard deviation stated."""
     rows, theta = simulated(np.random.default_rng(6), count=20_000, axis_z_mm=-20.0)
-    miss = closure(theta, rows.gaze, rows.z_mm).value / row_noise(theta, rows).sigma
+    miss = misclosure(theta, rows.gaze, rows.z_mm).value / row_noise(theta, rows).sigma
     assert np.std(miss) == pytest.approx(1.0, abs=4 / np.sqrt(2 * len(rows)))
 
 
@@ -87,7 +87,7 @@ def test_outliers_are_named_and_harmless() -> None:
     """Simulated truth: four gross errors of forty rows; all named, estimate within 4 sigma."""
     for seed in range(10):
         rows, theta = simulated(np.random.default_rng(seed), count=40, outliers=4, axis_z_mm=-20.0)
-        clean = closure(theta, rows.gaze, rows.z_mm).value / row_noise(theta, rows).sigma
+        clean = misclosure(theta, rows.gaze, rows.z_mm).value / row_noise(theta, rows).sigma
         fit = fit_robust(rows, OFFSET, NO_PRIORS)
         gross = {i for i, r in zip(rows.ids, clean, strict=True) if abs(r) > 8}
         assert set(fit.outliers) >= gross
@@ -174,9 +174,9 @@ def test_models_that_rows_cannot_carry() -> None:
 def test_sense_of_rotation() -> None:
     """Negative controls: reversed encoder and mirrored coordinate are named."""
     rows, _ = simulated(np.random.default_rng(10), count=14, axis_z_mm=-10.0)
-    assert check_sense(rows).passed
-    reversed_ = check_sense(replace(rows, alpha2_rad=np.pi - rows.alpha2_rad))
+    assert check_encoder_direction(rows).passed
+    reversed_ = check_encoder_direction(replace(rows, alpha2_rad=np.pi - rows.alpha2_rad))
     assert not reversed_.passed
     assert "encoder counts the wrong way" in reversed_.detail
-    mirrored = check_sense(replace(rows, x1c=-rows.x1c))
+    mirrored = check_encoder_direction(replace(rows, x1c=-rows.x1c))
     assert not mirrored.passed

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calib.geometry.misclosure import closure, depth_jacobian
+from calib.geometry.misclosure import depth_jacobian, misclosure
 from calib.geometry.parameters import COUNT, MODELS, NAMES, PARAMETERS, embed, vector
 from calib.geometry.plane import OBSERVABLE, Gaze, depth, encoder_reading, gaze_angle, gaze_at
 
@@ -109,8 +109,8 @@ def test_jacobian_by_parameter(name: str) -> None:
     i, h = NAMES.index(name), 1e-5
     step = np.zeros(COUNT)
     step[i] = h
-    found = closure(theta, gaze, z).by_theta[:, i]
-    ends = [closure(theta + sign * step, gaze, z).value for sign in (1, -1)]
+    found = misclosure(theta, gaze, z).by_theta[:, i]
+    ends = [misclosure(theta + sign * step, gaze, z).value for sign in (1, -1)]
     expected = (ends[0] - ends[1]) / (2 * h)
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9)
     found = depth_jacobian(theta, gaze).by_theta[:, i]
@@ -128,9 +128,9 @@ def test_jacobian_by_observable(column: int) -> None:
 
     def value(sign: int) -> np.ndarray:
         moved = [q + sign * h * (k == column) for k, q in enumerate(observed)]
-        return closure(theta, Gaze(*moved[:4]), moved[4]).value
+        return misclosure(theta, Gaze(*moved[:4]), moved[4]).value
 
-    found = closure(theta, gaze, z).by_observable[:, column]
+    found = misclosure(theta, gaze, z).by_observable[:, column]
     np.testing.assert_allclose(found, (value(1) - value(-1)) / (2 * h), rtol=0, atol=1e-8)
 
 

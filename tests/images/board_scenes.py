@@ -10,7 +10,7 @@ import numpy as np
 from calib.core.arrays import FloatArray
 from calib.geometry.board import Board, Corners
 from calib.geometry.camera import Camera
-from calib.images.bundle import bowed
+from calib.images.bundle import deformed
 from calib.simulate.rig import Rig, c2_pose
 
 BOARD = Board("chessboard", 9, 6, 30.0, (4, 3))
@@ -88,7 +88,7 @@ def pairs(
     warp_mm: tuple[float, float] | None = None,
 ) -> Pairs:
     """Boards spread over the view of C1; C2 sees what it sees."""
-    points = bowed(board.object_points(), warp_mm)
+    points = deformed(board.object_points(), warp_mm)
     back = np.linalg.inv(matrix(pose_12))
     one, two, poses = [], [], []
     while len(one) < count:

@@ -10,7 +10,7 @@ import numpy as np
 from calib.core.arrays import FloatArray
 from calib.geometry.board import Board, Corners
 from calib.geometry.camera import Camera, project
-from calib.images.bundle import bowed
+from calib.images.bundle import deformed
 
 BOARD = Board("chessboard", 9, 6, 25.0, (4, 3))
 SIZE = (640, 480)
@@ -69,7 +69,7 @@ def seen_by(
     camera: Camera, pose: FloatArray, board: Board, warp_mm: tuple[float, float] | None = None
 ) -> FloatArray:
     """Exact corners of a board, px, shape (corners, 2)."""
-    points = bowed(board.object_points(), warp_mm)
+    points = deformed(board.object_points(), warp_mm)
     return project(camera, points @ pose[:3, :3].T + pose[:3, 3])
 
 

@@ -10,7 +10,15 @@ from hypothesis import strategies as st
 
 from calib.core.errors import EstimationError
 from calib.geometry.camera import Camera
-from calib.images.bundle import Block, bowed, dispersion, inverse, minimise, project_points, proven
+from calib.images.bundle import (
+    Block,
+    deformed,
+    dispersion,
+    inverse,
+    minimise,
+    project_points,
+    proven,
+)
 
 POINTS = np.array([[30.0, -40.0, 500.0], [-200.0, 100.0, 900.0], [5.0, 8.0, 300.0]])
 
@@ -41,11 +49,11 @@ def test_projection_derivatives_agree_with_differences(count: int) -> None:
 
 def test_bow_is_a_parabola_that_leaves_the_outer_corners() -> None:
     points = scenes.BOARD.object_points()
-    grid = bowed(points, (0.8, -0.4)).reshape(6, 9, 3)
+    grid = deformed(points, (0.8, -0.4)).reshape(6, 9, 3)
     assert grid[[0, 0, -1, -1], [0, -1, 0, -1], 2] == pytest.approx(0)
     assert grid[0, 4, 2] == pytest.approx(0.8)
     assert grid[:, 0, 2].min() == pytest.approx(-0.4 * 4 * 0.4 * 0.6)
-    assert bowed(points, None) is points
+    assert deformed(points, None) is points
 
 
 def test_minimum_of_a_curved_valley_is_found() -> None:

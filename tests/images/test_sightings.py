@@ -10,8 +10,8 @@ from calib.core.arrays import FloatArray
 from calib.dataset.tables import GazeTable
 from calib.geometry.board import Corners
 from calib.rows.common_errors import Shared
-from calib.rows.from_images import CornerNoise, sight
-from calib.rows.from_table import CameraSet, Sightings
+from calib.rows.from_images import CornerNoise, observe_images
+from calib.rows.from_table import CameraSet, ImageObservations
 
 INTRINSICS_PX = 0.02
 ROWS_PX = 0.08
@@ -41,8 +41,8 @@ def table(images: tuple[str, ...]) -> GazeTable:
     )
 
 
-def seen(c1: Corners, c2: Corners, cameras: CameraSet) -> Sightings:
-    return sight(
+def seen(c1: Corners, c2: Corners, cameras: CameraSet) -> ImageObservations:
+    return observe_images(
         table(c1.images),
         scenes.BOARD,
         c1,

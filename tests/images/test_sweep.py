@@ -366,7 +366,7 @@ def test_board_that_moved_fails_the_fit() -> None:
     def edit(found: Corners, shown: SweepReadings) -> tuple[Corners, SweepReadings]:
         return found, replace(shown, placements=("one",) * len(shown.placements))
 
-    with pytest.raises(EstimationError, match="check that the board stood still"):
+    with pytest.raises(EstimationError, match="check that the board was at rest"):
         solve(rng, drawn_rig(rng), edit=edit)
 
 

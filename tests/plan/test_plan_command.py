@@ -20,7 +20,7 @@ from calib.dataset.contents import Dataset
 from calib.dataset.load import load_dataset
 from calib.fit.priors import Measured
 from calib.plan.prepare import prepare
-from calib.plan.prior_knowledge import SoFar, from_images
+from calib.plan.prior_knowledge import PriorKnowledge, from_images
 from calib.stages.store import Store
 
 ROOT = Path(__file__).parents[2]
@@ -145,22 +145,22 @@ def test_rows_from_images_come_by_the_stages_of_calibrate(
 
 
 @pytest.fixture(scope="module")
-def seen(tmp_path_factory: pytest.TempPathFactory) -> tuple[Dataset, SoFar]:
+def seen(tmp_path_factory: pytest.TempPathFactory) -> tuple[Dataset, PriorKnowledge]:
     folder = tmp_path_factory.mktemp("rig")
     dataset = load_dataset(seen_rig(folder / "seen"))
     return dataset, from_images(dataset, Store(folder / "out"))
 
 
-def test_rows_from_images_are_those_of_the_rig(seen: tuple[Dataset, SoFar]) -> None:
+def test_rows_from_images_are_those_of_the_rig(seen: tuple[Dataset, PriorKnowledge]) -> None:
     """Simulated truth: baseline, depths and field of the start are the rig's own.
 
     L_b + e of ten rows is known to a millimetre or two; depths to NOISE_PX / f z² / L_b, 1 mm.
     """
-    dataset, so_far = seen
-    assert so_far.rows is not None
-    np.testing.assert_allclose(so_far.rows.z_mm, np.linspace(700, 1600, 10), atol=5)
+    dataset, prior_knowledge = seen
+    assert prior_knowledge.rows is not None
+    np.testing.assert_allclose(prior_knowledge.rows.z_mm, np.linspace(700, 1600, 10), atol=5)
     start = prepare(
-        dataset, so_far, model="axis-offset", asked_mm=np.array([1000.0]),
+        dataset, prior_knowledge, model="axis-offset", asked_mm=np.array([1000.0]),
         targets_mm=None, yaw_deg=(40.0, 140.0),
     )  # fmt: skip
     theta = start.knowledge.theta
@@ -169,20 +169,20 @@ def test_rows_from_images_are_those_of_the_rig(seen: tuple[Dataset, SoFar]) -> N
     # The uncertainty of stereo grows with the square of depth, and so it is taken to go on.
     near, far = start.noise.of_depth(np.array([1000.0, 2000.0]))
     assert far / near == pytest.approx(4, rel=1e-12)
-    own = so_far.rows.std[:, 4]
-    np.testing.assert_allclose(start.noise.of_depth(so_far.rows.z_mm), own, rtol=0.5)
+    own = prior_knowledge.rows.std[:, 4]
+    np.testing.assert_allclose(start.noise.of_depth(prior_knowledge.rows.z_mm), own, rtol=0.5)
 
 
-def test_the_sweep_is_part_of_what_is_known(seen: tuple[Dataset, SoFar]) -> None:
+def test_the_sweep_is_part_of_what_is_known(seen: tuple[Dataset, PriorKnowledge]) -> None:
     """Property: e is then known as well as the sweep knows it, or better."""
     dataset, bare = seen
     measured = Measured(("eccentricity_mm",), np.array([3.0]), np.array([[0.1**2]]))
     known = [
         prepare(
-            dataset, so_far, model="axis-offset", asked_mm=np.array([1000.0]),
+            dataset, prior_knowledge, model="axis-offset", asked_mm=np.array([1000.0]),
             targets_mm=None, yaw_deg=(40.0, 140.0),
         ).knowledge
-        for so_far in (bare, SoFar(bare.rows, bare.cameras, measured))
+        for prior_knowledge in (bare, PriorKnowledge(bare.rows, bare.cameras, measured))
     ]  # fmt: skip
     alone, swept = (np.sqrt(np.linalg.inv(k.information)[3, 3]) for k in known)
     assert alone > 0.3

@@ -23,7 +23,15 @@ from calib.core.arrays import FloatArray
 from calib.core.errors import CalibError
 from calib.core.hdf5 import hdf5_arrays, hdf5_bytes
 from calib.stages import step
-from calib.stages.stage_file import DOCUMENT, SEAL_BYTES, Failure, is_intact, pack, read, sealed
+from calib.stages.stage_file import (
+    DOCUMENT,
+    SEAL_BYTES,
+    Failure,
+    is_intact,
+    pack,
+    read,
+    with_header,
+)
 from calib.stages.store import Step, Store
 
 
@@ -56,7 +64,7 @@ FINGERPRINT = "f" * 64
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
     file = tmp_path / "stage.h5"
-    file.write_bytes(sealed(FINGERPRINT, pack(compute())))
+    file.write_bytes(with_header(FINGERPRINT, pack(compute())))
     return file
 
 
@@ -77,7 +85,7 @@ def test_what_is_written_is_read(path: Path) -> None:
 
 
 def test_failure_is_kept(tmp_path: Path) -> None:
-    (tmp_path / "f.h5").write_bytes(sealed(FINGERPRINT, pack(Failure("too few rows"))))
+    (tmp_path / "f.h5").write_bytes(with_header(FINGERPRINT, pack(Failure("too few rows"))))
     assert read(tmp_path / "f.h5", Result) == Failure("too few rows")
 
 
@@ -129,7 +137,7 @@ def forged(path: Path, document: object, fill: Callable[[h5py.File], None]) -> N
         fill(file)
 
     image = hdf5_bytes(content)
-    path.write_bytes(sealed(FINGERPRINT, image))
+    path.write_bytes(with_header(FINGERPRINT, image))
 
 
 GOOD = {

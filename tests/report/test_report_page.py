@@ -206,7 +206,7 @@ def test_what_the_rows_can_tell_is_said_in_words_and_figures(page: html.HtmlElem
     found = gaze.identifiability["axis-offset"]
     section = page.xpath("//section[@id='identifiability']")[0]
     (notice,) = section.xpath("./div[contains(@class, 'notice')]")
-    assert "cannot tell Lb from e" in notice.text_content()
+    assert "cannot distinguish Lb from e" in notice.text_content()
     assert all(remedy in notice.text_content() for remedy in found.open[0].remedies)
     rows = table(page, "axis-offset: its combinations")
     assert keys(rows, 1) == [c.singular_value for c in found.combinations]

@@ -17,9 +17,9 @@ from calib.dataset.readers import read_gaze
 from calib.dataset.tables import GazeTable
 from calib.geometry.plane import OBSERVABLE
 from calib.rows.from_table import (
+    ImageObservations,
     RowSettings,
     Setup,
-    Sightings,
     observe,
     row_settings,
     validation_settings,
@@ -83,10 +83,10 @@ STEREO = "id,x1c,y1c,alpha2_deg,z_mm,stereo\n" + "".join(
 )
 
 
-def seen(u_z: FloatArray) -> Sightings:
+def seen(u_z: FloatArray) -> ImageObservations:
     nowhere = np.full((5, 2), np.nan)
     z = np.array([500.0, 500.0, 1000.0, np.nan, np.nan])
-    return Sightings(nowhere, nowhere, 0.1, 0.1, z, u_z, np.zeros((5, 0)))
+    return ImageObservations(nowhere, nowhere, 0.1, 0.1, z, u_z, np.zeros((5, 0)))
 
 
 def test_rows_of_one_image_pair_share_its_error_without_a_word() -> None:

@@ -16,7 +16,7 @@ from calib.fit.robust import fit_model
 from calib.geometry.parameters import INDEX, vector
 from calib.geometry.plane import OBSERVABLE, gaze_at
 from calib.rows.observations import Observations
-from calib.rows.repeated_readings import combine, repeats_told
+from calib.rows.repeated_readings import combine, repetition_warning
 
 STEP = np.deg2rad(0.05625)
 U_X, U_Z_REL = 2e-4, 0.002
@@ -81,9 +81,9 @@ def test_the_run_warns_of_repeats_but_not_of_chance() -> None:
     lines = [f"{i},0.1,0.0,{60 + i / 4}" for i in range(200)]
     table = read_measurements("\n".join(["id,x1c,y1c,alpha2_deg", *lines]), name="gaze.csv")
     rows = rows_at(targets(np.random.default_rng(5), 200), 1, np.random.default_rng(5))
-    assert repeats_told(table, rows) is None
-    assert repeats_told(table, rows.take(np.arange(199))) is None
-    told = repeats_told(table, rows.take(np.arange(20)))
+    assert repetition_warning(table, rows) is None
+    assert repetition_warning(table, rows.take(np.arange(199))) is None
+    told = repetition_warning(table, rows.take(np.arange(20)))
     assert told is not None
     assert "200 rows repeat 20 gazes" in told
 

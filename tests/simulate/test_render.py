@@ -153,11 +153,11 @@ def test_board_behind_the_camera_or_at_its_side_leaves_the_wall() -> None:
     imager = prepare(lens(), PLAIN)
     wall = round(SURROUNDINGS * 250)
     behind = facing(CHESSBOARD, distance=-500, turn=(0, 0, 0))
-    aside = facing(CHESSBOARD, distance=500, turn=(0, 0, 0))
-    aside[0, 3] += 2000.0
+    rejected = facing(CHESSBOARD, distance=500, turn=(0, 0, 0))
+    rejected[0, 3] += 2000.0
     around = facing(CHESSBOARD, distance=10, turn=(0, 1.2, 0))  # partly behind the camera
     around[0, 3] += 2000.0
-    for pose in (behind, aside, around):
+    for pose in (behind, rejected, around):
         image = render(imager, board_pattern(CHESSBOARD), pose, np.random.default_rng(0))
         assert (np.abs(image.astype(int) - wall) <= 1).all()
 

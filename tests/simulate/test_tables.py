@@ -75,9 +75,9 @@ def test_targets_fill_the_depth_range_evenly() -> None:
 
 def test_a_scene_that_no_camera_sees_is_refused() -> None:
     rig = rig_of(0)
-    aside = replace(rig, yaw_range_rad=(0.1, 0.11))
+    rejected = replace(rig, yaw_range_rad=(0.1, 0.11))
     with pytest.raises(UsageError, match="seen by both cameras"):
-        draw_targets(aside, np.random.default_rng(0), count=3, depth_range_mm=rig.depth_range_mm)
+        draw_targets(rejected, np.random.default_rng(0), count=3, depth_range_mm=rig.depth_range_mm)
 
 
 def test_the_motor_stops_at_the_nearest_count() -> None:

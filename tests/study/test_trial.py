@@ -65,7 +65,7 @@ def test_conditions_differ_in_nothing_but_what_they_say() -> None:
 def test_bound_is_that_of_the_paper_s_two_unknowns() -> None:
     """Property: against the bound from a numerical derivative of the residual by parameters."""
     from calib.fit.noise import row_noise
-    from calib.geometry.misclosure import closure
+    from calib.geometry.misclosure import misclosure
     from calib.geometry.parameters import MODELS
 
     bench = set_up(CONDITIONS["base-14"], seed=1, number=0)
@@ -76,7 +76,7 @@ def test_bound_is_that_of_the_paper_s_two_unknowns() -> None:
         ahead, behind = theta.copy(), theta.copy()
         ahead[i] += step
         behind[i] -= step
-        up, down = (closure(t, rows.gaze, rows.z_mm).value for t in (ahead, behind))
+        up, down = (misclosure(t, rows.gaze, rows.z_mm).value for t in (ahead, behind))
         columns.append((up - down) / (2 * step) / sigma)
     slope = np.stack(columns, axis=1)
     np.testing.assert_allclose(

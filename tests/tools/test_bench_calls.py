@@ -46,15 +46,15 @@ def test_nested_calls_count_once_and_threads_add_up() -> None:
 
 def test_calls_are_found_under_the_names_modules_gave_them() -> None:
     """`from ... import least_squares` is another name; afterwards all is as it was."""
-    from calib.fit import settle
+    from calib.fit import reweighting
 
-    plain, finder = settle.least_squares, cv2.findChessboardCorners
+    plain, finder = reweighting.least_squares, cv2.findChessboardCorners
     meter = bench_calls._Meter()
     with bench_calls._metered(meter):
-        assert settle.least_squares is not plain
+        assert reweighting.least_squares is not plain
         assert cv2.findChessboardCorners is not finder
-        settle.least_squares(lambda x: x - 1, [0.0])
-    assert settle.least_squares is plain
+        reweighting.least_squares(lambda x: x - 1, [0.0])
+    assert reweighting.least_squares is plain
     assert cv2.findChessboardCorners is finder
     assert meter.inside["solvers"] > 0
 

@@ -176,7 +176,7 @@ def test_points_of_one_board_share_its_depth_in_every_trial() -> None:
 
 
 def _loose() -> Instrument:
-    """Return an instrument that measures near points, and cannot tell 60 m from infinity."""
+    """Return an instrument that measures near points, and cannot distinguish 60 m from infinity."""
     return Instrument(known_case.knowledge(), ReadingSpread(x1c=Spread(normal=1e-3)))
 
 

@@ -13,7 +13,7 @@ from calib.core.errors import EstimationError, InputError
 from calib.core.gate import Gate
 from calib.geometry.board import Board, Corners, LensFit
 from calib.geometry.camera import Camera
-from calib.images.bundle import bowed
+from calib.images.bundle import deformed
 from calib.images.detection.grid import seen
 from calib.images.intrinsics.by_mrcal import MrcalFits, fit_mrcal
 from calib.images.intrinsics.by_opencv import LENSES, fit_opencv
@@ -118,7 +118,7 @@ def calibrate_intrinsics(corners: Corners, board: Board, *, camera: str, seed: i
 
     The rule: the lens model is the simplest unless a larger one predicts left-out views better
     beyond doubt (`select_lens`); of its two fits mrcal's is used where there is one, as it solves
-    the bow of the board too, and OpenCV's otherwise.
+    the deformation of the board too, and OpenCV's otherwise.
 
     Parameters
     ----------
@@ -189,7 +189,7 @@ def _solve(corners: Corners, board: Board, seed: int) -> _Backends:
     if not mrcal.fits:
         return _Backends(flat, flat, drawn, mrcal, failed)
     points = drawn | {
-        lens: bowed(drawn[lens], fit.board_warp_mm) for lens, fit in mrcal.fits.items()
+        lens: deformed(drawn[lens], fit.board_warp_mm) for lens, fit in mrcal.fits.items()
     }
     checked, failed = _fit_lenses(corners, board, flat, points)
     return _Backends(flat, checked, points, mrcal, failed)
@@ -280,7 +280,7 @@ def _assemble(
     at = nodes(inliers, corners.image_size)
     agreement, splined, others = _differences(enlarged, selected, backends, lens, at)
     unused = seen(corners.pixels).any(axis=-1) & ~_views_of(selected)
-    odd = _odd_views(corners, selected)
+    inconsistent = _inconsistent_views(corners, selected)
     gates = intrinsics_gates(camera, enlarged, coverage, validation, agreement=agreement)
     return Intrinsics(
         name=camera,
@@ -300,7 +300,7 @@ def _assemble(
         mrcal_version=None if mrcal.missing else mrcal.version,
         gates=gates,
         warnings=(
-            *_picture_warnings(camera, corners, repeated, odd),
+            *_picture_warnings(camera, corners, repeated, inconsistent),
             *_backend_warnings(camera, mrcal),
             *intrinsics_warnings(camera, gates, dispersion=dispersion, splined=splined),
         ),
@@ -330,13 +330,13 @@ def _selection(selected: LensFit, validation: CrossValidation, backends: _Backen
     """Say which fit was selected and why."""
     mrcal = backends.mrcal
     if selected.backend == "mrcal":
-        backend = "mrcal, which solves the bow of the board too"
+        backend = "mrcal, which solves the deformation of the board too"
     else:
         backend = "OpenCV, " + ("alone here" if mrcal.missing else "as mrcal found no solution")
     return "; ".join([validation.reason, *backends.failed, f"by {backend}"])
 
 
-def _odd_views(corners: Corners, selected: LensFit) -> tuple[str, ...]:
+def _inconsistent_views(corners: Corners, selected: LensFit) -> tuple[str, ...]:
     """Return the images of which the fit rejected over half of the corners."""
     found = seen(corners.pixels).sum(axis=-1)
     kept = seen(selected.residuals).sum(axis=-1)
@@ -344,7 +344,7 @@ def _odd_views(corners: Corners, selected: LensFit) -> tuple[str, ...]:
 
 
 def _picture_warnings(
-    camera: str, corners: Corners, repeated: tuple[str, ...], odd: tuple[str, ...]
+    camera: str, corners: Corners, repeated: tuple[str, ...], inconsistent: tuple[str, ...]
 ) -> tuple[str, ...]:
     """Say what became of pictures that are not used."""
     warnings = []
@@ -358,9 +358,9 @@ def _picture_warnings(
         )
     if repeated:
         warnings.append(f"{camera}: repeats of other images are not used: {', '.join(repeated)}")
-    if odd:
+    if inconsistent:
         warnings.append(
-            f"{camera}: most corners of {', '.join(odd)} contradict the other images and were "
+            f"{camera}: most corners of {', '.join(inconsistent)} contradict the other images and were "
             "left out: look whether such a picture is turned, scaled, or taken with another focus "
             "or camera"
         )

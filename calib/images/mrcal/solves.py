@@ -115,7 +115,7 @@ class MrcalSolution:
     sigma_px
         The same per degree of freedom: the standard deviation of a corner coordinate.
     board_warp_mm
-        Solved bow of the board along x and along y: how far its middle stands back, mm.
+        Solved deformation of the board along x and along y: how far its middle stands back, mm.
     grids
         One a camera; empty where the intrinsics were held.
     model_files
@@ -163,7 +163,7 @@ def solve(
     focal_px
         First guess for each camera, good to a factor of two; by default from the homographies.
     held
-        Known intrinsics: only poses, and the bow of the board, are solved.
+        Known intrinsics: only poses, and the deformation of the board, are solved.
     warp
         Whether the board may be bowed.
     grid

@@ -6,7 +6,7 @@ arrays are is said in `calib.images.mrcal.solves`, the other end.
 
 The stages are those of mrcal's own tool mrcal-calibrate-cameras (https://mrcal.secretsauce.net,
 "How to run a calibration"): a stereographic seed, the poses, the focal length, the lens with
-outlier rejection, the bow of the board.
+outlier rejection, the deformation of the board.
 """
 
 from __future__ import annotations

@@ -48,7 +48,7 @@ NO_POSE_RMS_PX = 5.0
 """Pairs that belong together fit to a fraction of a pixel, with poor intrinsics to some; whatever a
 pose says that misses them by more, that C2 stands on the left or upside down, it says by chance."""
 
-ODD_SHARE = 0.5
+INCONSISTENT_SHARE = 0.5
 """Of a pair's corners rejected: above it not a corner is wrong but the pair. Two pictures that were
 not taken together, or one upside down, keep a corner or two by chance."""
 
@@ -127,10 +127,10 @@ def stereo_reference(
     """
     start = start_pairs(corners, board, cameras=rig.cameras)
     solves, backend_gates = _solve(start, board, rig, seed)
-    odd = _odd_pairs(start, solves)
-    pairs_gate = _pairs_gate(tuple(stems[i] for i in start.pairs[odd]), len(odd))
-    if odd.any() and np.sum(~odd) >= MIN_PAIRS:
-        start = start.keep(~odd)
+    inconsistent = _inconsistent_pairs(start, solves)
+    pairs_gate = _pairs_gate(tuple(stems[i] for i in start.pairs[inconsistent]), len(inconsistent))
+    if inconsistent.any() and np.sum(~inconsistent) >= MIN_PAIRS:
+        start = start.keep(~inconsistent)
         solves, backend_gates = _solve(start, board, rig, seed)
     record = solves[0]
     _check_together(record)
@@ -270,24 +270,24 @@ def _solve(
     return (record, plain, joint), (agreement, _intrinsics_gate(record, joint))
 
 
-def _odd_pairs(start: PairStart, solves: tuple[StereoSolve, ...]) -> BoolArray:
+def _inconsistent_pairs(start: PairStart, solves: tuple[StereoSolve, ...]) -> BoolArray:
     """Return which pairs do not fit the pose that the others share, shape (n,)."""
     plain = next(solve for solve in solves if solve.backend == "opencv")
     shown = finite(start.pixels).all(axis=0).sum(axis=-1)
     kept = finite(plain.residuals).all(axis=0).sum(axis=-1)
-    odd: BoolArray = np.asarray(shown - kept > ODD_SHARE * shown)
-    return odd
+    inconsistent: BoolArray = np.asarray(shown - kept > INCONSISTENT_SHARE * shown)
+    return inconsistent
 
 
-def _pairs_gate(odd: tuple[str, ...], count: int) -> Gate:
+def _pairs_gate(inconsistent: tuple[str, ...], count: int) -> Gate:
     """Gate on pairs that contradict the others."""
-    if not odd:
+    if not inconsistent:
         return Gate("stereo-pairs", True, f"all {count} pairs fit one pose of C2")
     return Gate(
         "stereo-pairs",
         False,
-        f"{len(odd)} of {count} pairs do not fit the pose of C2 that the others share: "
-        f"{', '.join(odd)}; look whether their two pictures were taken together, of C1 and C2 in "
+        f"{len(inconsistent)} of {count} pairs do not fit the pose of C2 that the others share: "
+        f"{', '.join(inconsistent)}; look whether their two pictures were taken together, of C1 and C2 in "
         "this order, none turned, with C2 at its yaw; mend them, or leave the pairs out",
     )
 
@@ -297,7 +297,7 @@ def _check_together(record: StereoSolve) -> None:
     if record.rms_px > NO_POSE_RMS_PX:
         raise EstimationError(
             f"stereo: the pairs fit no single pose of C2, rms {record.rms_px:.1f} px: check that "
-            "pictures of one name were taken together and C2 stood still, that [stereo] c1 and c2 "
+            "pictures of one name were taken together and C2 was at rest, that [stereo] c1 and c2 "
             "are not exchanged, and that the intrinsics are these cameras'"
         )
 
@@ -330,9 +330,9 @@ def _agreement_gate(record: StereoSolve, plain: StereoSolve) -> Gate:
         "stereo-backends",
         chi2 <= AGREEMENT_CHI2,
         f"mrcal and OpenCV differ by {_difference(record, plain)}, chi2 {chi2:.1f} of 6; rms "
-        f"{record.rms_px:.3f} and {plain.rms_px:.3f} px; mrcal finds the board bowed by "
+        f"{record.rms_px:.3f} and {plain.rms_px:.3f} px; mrcal finds the board deformed by "
         f"{x:z.2f} mm along x and {y:z.2f} mm along y, OpenCV takes it to be flat",
-        remedy="if the bow is large use a stiffer board, else look for misread boards in the pairs",
+        remedy="if the deformation is large use a stiffer board, else look for misread boards in the pairs",
     )
 
 

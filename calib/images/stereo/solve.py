@@ -32,7 +32,7 @@ from calib.geometry.poses import (
 )
 from calib.images.bundle import (
     Block,
-    bowed,
+    deformed,
     dispersion,
     finite,
     inverse,
@@ -161,7 +161,7 @@ def solve_opencv(start: PairStart, board: Board, rig: CameraPair) -> StereoSolve
 
 
 def solve_mrcal(start: PairStart, board: Board, rig: CameraPair, *, seed: int) -> StereoSolve:
-    """Solve with mrcal, intrinsics held, bow of the board free.
+    """Solve with mrcal, intrinsics held, deformation of the board free.
 
     Raises
     ------
@@ -188,7 +188,7 @@ def solve_mrcal(start: PairStart, board: Board, rig: CameraPair, *, seed: int) -
 
 
 def solve_mrcal_free(start: PairStart, board: Board, rig: CameraPair, *, seed: int) -> StereoSolve:
-    """Solve pose and intrinsics jointly from the pairs alone with mrcal, bow of the board free.
+    """Solve pose and intrinsics jointly from the pairs alone with mrcal, deformation of the board free.
 
     Raises
     ------
@@ -312,11 +312,11 @@ def _with_covariance(
     solve: StereoSolve, board: Board, rig: CameraPair, *, warp_free: bool
 ) -> StereoSolve:
     """Return the solution with the covariance of its pose, linearised around it."""
-    points = bowed(board.object_points(), solve.board_warp_mm)
+    points = deformed(board.object_points(), solve.board_warp_mm)
     known = sum(4 + len(c.distortion) for c in rig.cameras)
     pairs = [_pair_blocks(solve, i, points, rig.cameras) for i in range(len(solve.poses))]
     matrix = sum_blocks([b for pair in pairs for b in pair], known + 8 + 6 * len(pairs)).matrix
-    # Unknowns in order: intrinsics (known), pose of C2, bow of the board, board poses.
+    # Unknowns in order: intrinsics (known), pose of C2, deformation of the board, board poses.
     solved = np.arange(known, len(matrix))
     if not warp_free:
         solved = np.delete(solved, [6, 7])
@@ -402,4 +402,4 @@ def _pair_blocks(
 def _points_by_warp(points: FloatArray) -> FloatArray:
     """Return d(board point)/d(bow), shape (n, 3, 2)."""
     flat = points * np.array([1.0, 1.0, 0.0])
-    return np.stack([bowed(flat, bow) - flat for bow in ((1.0, 0.0), (0.0, 1.0))], axis=-1)
+    return np.stack([deformed(flat, bow) - flat for bow in ((1.0, 0.0), (0.0, 1.0))], axis=-1)

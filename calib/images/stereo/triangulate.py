@@ -16,7 +16,7 @@ from calib.core.errors import EstimationError
 from calib.geometry.board import Board
 from calib.geometry.camera import Camera, intrinsic_names, normalise
 from calib.geometry.poses import rotated_by_vector, rotation, transform, transformed_by_pose
-from calib.images.bundle import bowed, finite, inverse, project_points
+from calib.images.bundle import deformed, finite, inverse, project_points
 from calib.images.pairs import single_view_pose
 
 _NEWTON_STEPS = 5
@@ -137,7 +137,7 @@ def position_on_board(
     warp_mm
         Bow of the board along x and y, mm, where it is known.
     """
-    shape = bowed(board.object_points(), warp_mm)
+    shape = deformed(board.object_points(), warp_mm)
     target = shape[[board.target_index]]
     count = 4 + len(cameras[0].distortion)
     n, shared = len(pixels), len(shared_names(cameras))

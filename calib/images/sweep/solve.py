@@ -14,7 +14,7 @@ from calib.core.errors import EstimationError
 from calib.geometry.board import Board, Corners
 from calib.geometry.camera import Camera
 from calib.geometry.poses import pose_matrix, pose_vector, rotation
-from calib.images.bundle import Minimum, bowed, dispersion, finite, inverse, minimise, proven
+from calib.images.bundle import Minimum, deformed, dispersion, finite, inverse, minimise, proven
 from calib.images.checks import RMS_LIMIT_PX, outlier_limit, require_board
 from calib.images.mrcal.solves import MIN_CORNERS
 from calib.images.pairs import half_turn_looks_same, single_view_pose
@@ -38,7 +38,7 @@ MEASURED_SHARE = 0.5
 
 FOOT_STD_MM = 200.0
 """C2 is mounted within a hand's breadth of its yaw axis. A sweep of 20 degrees tells 400 times
-better; one of a degree cannot tell a distant axis from a turn the other way."""
+better; one of a degree cannot distinguish a distant axis from a turn the other way."""
 
 START_SIGMA_PX = 0.1
 """Corner noise assumed before the residuals tell."""
@@ -133,7 +133,7 @@ def solve_sweep(
     placement = np.array([placements.index(name) for name in names])
     pixels = corners.pixels[kept]
     problem = SweepProblem(
-        points=bowed(board.object_points(), warp_mm),
+        points=deformed(board.object_points(), warp_mm),
         pixels=_same_end(pixels, placement) if half_turn_looks_same(board) else pixels,
         readings_rad=alpha2,
         placement=placement,
@@ -266,7 +266,7 @@ def _refined(problem: SweepProblem, x: FloatArray) -> tuple[SweepProblem, Minimu
         minimum = minimise(partial(blocks_of, problem), x)
     except EstimationError as error:
         raise EstimationError(
-            "sweep: no axis fits the images; check that the board stood still within each "
+            "sweep: no axis fits the images; check that the board was at rest within each "
             f"placement, and the readings ({error})"
         ) from error
     spread = np.sqrt(np.diag(inverse(minimum.normal.matrix)))[AXIS : AXIS + len(ENCODER)]

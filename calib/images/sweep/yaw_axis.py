@@ -298,7 +298,7 @@ def _gates(
             "sweep-fit",
             result.residuals,
             result.rejected,
-            remedy="check that the board stood still within each placement, and the readings",
+            remedy="check that the board was at rest within each placement, and the readings",
         ),
         _images_gate(result),
         gate(

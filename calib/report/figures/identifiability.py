@@ -15,8 +15,8 @@ from calib.report.plotting import (
     Drawing,
     Margins,
     in_house_style,
-    look,
     new_figure,
+    plot_style,
 )
 from calib.uncertainty.format import fixed, significant
 
@@ -61,7 +61,7 @@ def _draw_combinations(axes: Axes, told: Sequence[Identifiability]) -> None:
     finite = [c.std for found in told for c in found.combinations if np.isfinite(c.std)]
     edge = BEYOND * max(*finite, UNDETERMINED)
     for strip, found in enumerate(told):
-        style = look(found.model)
+        style = plot_style(found.model)
         places = strip + SPREAD * np.linspace(-1, 1, len(found.combinations))
         for y, c in zip(places, found.combinations, strict=True):
             alone = min(c.std, edge)

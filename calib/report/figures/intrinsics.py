@@ -22,8 +22,8 @@ from calib.report.plotting import (
     from_zero,
     in_house_style,
     legend,
-    look,
     new_figure,
+    plot_style,
     thinned,
 )
 
@@ -160,7 +160,7 @@ def draw_cross_validation(i: Intrinsics) -> Drawing:
     v = i.validation
     place = np.arange(len(i.images))
     for lens, rms in zip(v.lenses, v.view_rms_px, strict=True):
-        style = look(lens)
+        style = plot_style(lens)
         chosen = lens == v.chosen
         axes.plot(
             place,

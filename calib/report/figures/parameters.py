@@ -10,11 +10,11 @@ import numpy as np
 from calib.report.plotting import (
     GREY,
     Drawing,
-    Look,
     Margins,
+    PlotStyle,
     in_house_style,
-    look,
     new_figure,
+    plot_style,
 )
 from calib.uncertainty.montecarlo import NORMAL_FACTOR
 
@@ -78,6 +78,6 @@ def draw_estimates(estimates: Sequence[Estimate]) -> Drawing:
     )
 
 
-def _style(fit: str) -> Look:
+def _style(fit: str) -> PlotStyle:
     model, _, estimator = fit.partition("/")
-    return look(model) if estimator in ("robust", "posterior") else Look(GREY, "d")
+    return plot_style(model) if estimator in ("robust", "posterior") else PlotStyle(GREY, "d")

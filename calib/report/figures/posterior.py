@@ -15,7 +15,7 @@ from calib.report.plotting import (
     Drawing,
     empty_figure,
     in_house_style,
-    look,
+    plot_style,
     thinned,
 )
 
@@ -46,7 +46,7 @@ def draw_corner(posterior: Posterior) -> Drawing:
         bins=32,
         smooth=1.2,
         levels=LEVELS,
-        color=look(posterior.model).colour,
+        color=plot_style(posterior.model).colour,
         plot_datapoints=False,
         fill_contours=True,
         max_n_ticks=3,

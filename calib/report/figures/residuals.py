@@ -18,8 +18,8 @@ from calib.report.plotting import (
     in_house_style,
     label_rows,
     legend,
-    look,
     new_figure,
+    plot_style,
 )
 from calib.rows.observations import Observations
 
@@ -35,8 +35,10 @@ def draw_residuals_by_row(rows: Observations, fits: Sequence[RobustFit]) -> Draw
     for k, fit in enumerate(fits):
         shift = 0.16 * (k - (len(fits) - 1) / 2) if len(rows) <= 60 else 0.0
         if len(rows) <= 60:
-            axes.vlines(place + shift, 0, fit.residual_mrad, color=look(fit.model).colour, lw=1.2)
-        cloud(axes, place + shift, fit.residual_mrad, look(fit.model), label=fit.model)
+            axes.vlines(
+                place + shift, 0, fit.residual_mrad, color=plot_style(fit.model).colour, lw=1.2
+            )
+        cloud(axes, place + shift, fit.residual_mrad, plot_style(fit.model), label=fit.model)
         _ring(axes, place + shift, fit, rows)
     axes.axhline(0, color=BLACK, lw=0.8)
     label_rows(axes, rows.ids, what="row")
@@ -57,7 +59,7 @@ def draw_residuals_against(rows: Observations, fits: Sequence[RobustFit]) -> Dra
     abscissae = {"reference depth / mm": rows.z_mm, "x1c = tan α1": rows.x1c}
     for axes, (name, x) in zip(panels, abscissae.items(), strict=True):
         for fit in fits:
-            cloud(axes, x, fit.residual_mrad, look(fit.model), label=fit.model)
+            cloud(axes, x, fit.residual_mrad, plot_style(fit.model), label=fit.model)
             _ring(axes, x, fit, rows)
         axes.axhline(0, color=BLACK, lw=0.8)
         axes.set_xlabel(name)
@@ -110,7 +112,7 @@ def draw_scatter(
 
 def _bar(axes: Axes, name: str, sigma: float, y: int) -> None:
     """Draw what one fit leaves."""
-    style = look(name.split("/", maxsplit=1)[0]) if name.endswith("/robust") else None
+    style = plot_style(name.split("/", maxsplit=1)[0]) if name.endswith("/robust") else None
     colour, marker = (GREY, "d") if style is None else (style.colour, style.marker)
     axes.plot([0, sigma], [y, y], color=LIGHT, lw=5, solid_capstyle="butt")
     axes.plot(sigma, y, marker, color=colour, ms=7)

@@ -11,8 +11,8 @@ from calib.report.plotting import (
     VERMILLION,
     Column,
     Drawing,
-    Look,
     Margins,
+    PlotStyle,
     from_zero,
     in_house_style,
     label_rows,
@@ -21,7 +21,7 @@ from calib.report.plotting import (
 )
 from calib.uncertainty.montecarlo import NORMAL_FACTOR
 
-_BACKENDS = {"mrcal": Look(BLUE, "o"), "opencv": Look(VERMILLION, "s")}
+_BACKENDS = {"mrcal": PlotStyle(BLUE, "o"), "opencv": PlotStyle(VERMILLION, "s")}
 
 
 @in_house_style
@@ -33,7 +33,7 @@ def draw_pairs(stereo: StereoReference) -> Drawing:
     data: dict[str, Column] = {"pair": stereo.stems}
     held = [solve for solve in stereo.solves if solve.intrinsics == "held"]
     for k, solve in enumerate(held):
-        style = _BACKENDS.get(solve.backend, Look(BLACK, "v"))
+        style = _BACKENDS.get(solve.backend, PlotStyle(BLACK, "v"))
         for camera, rms in zip(("C1", "C2"), _rms(solve.residuals), strict=True):
             axes.plot(
                 place + 0.16 * (k - (len(held) - 1) / 2),

@@ -12,8 +12,8 @@ from calib.report.plotting import (
     GREEN,
     GREY,
     Drawing,
-    Look,
     Margins,
+    PlotStyle,
     cloud,
     from_zero,
     in_house_style,
@@ -28,7 +28,7 @@ def draw_sweep(sweep: SweepResult) -> Drawing:
     left, right = figure.subplots(1, 2)
     degrees = np.rad2deg(sweep.readings_rad)
     rms = np.sqrt(np.nanmean(sweep.residuals.reshape(len(degrees), -1) ** 2, axis=1))
-    style = Look(BLUE, "o")
+    style = PlotStyle(BLUE, "o")
     cloud(left, degrees, rms, style)
     left.axhline(sweep.rms_px, color=GREY, lw=1, ls="--")
     left.set(xlabel="α2 / °", ylabel="rms residual / px")

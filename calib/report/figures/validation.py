@@ -17,18 +17,23 @@ from calib.report.plotting import (
     VERMILLION,
     Column,
     Drawing,
-    Look,
     Margins,
+    PlotStyle,
     cloud,
     in_house_style,
     label_rows,
     legend,
-    look,
     new_figure,
     plain,
+    plot_style,
 )
 
-REFERENCES = (Look(BLUE, "o"), Look(VERMILLION, "s"), Look(GREEN, "^"), Look(PURPLE, "D"))
+REFERENCES = (
+    PlotStyle(BLUE, "o"),
+    PlotStyle(VERMILLION, "s"),
+    PlotStyle(GREEN, "^"),
+    PlotStyle(PURPLE, "D"),
+)
 
 MOST_BARS = 200
 """Rows beyond which intervals would run into each other."""
@@ -83,7 +88,9 @@ def draw_consistency(validation: ValidationResult, models: Sequence[str]) -> Dra
     spans = []
     for k, model in enumerate(models):
         error = v.own_depth_mm[model] - v.reference_mm
-        cloud(axes, place + 0.24 * (k - (len(models) - 1) / 2), error, look(model), label=model)
+        cloud(
+            axes, place + 0.24 * (k - (len(models) - 1) / 2), error, plot_style(model), label=model
+        )
         data[f"{model}_own_depth_mm"] = v.own_depth_mm[model]
         spans.append(f"{model} from {np.nanmin(error):+.1f} to {np.nanmax(error):+.1f} mm")
     axes.axhline(0, color=BLACK, lw=0.8)

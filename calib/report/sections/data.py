@@ -12,7 +12,7 @@ from calib.report.blocks import (
     EMPTY,
     Block,
     Cell,
-    Facts,
+    DefinitionList,
     Paragraph,
     Section,
     Table,
@@ -43,7 +43,7 @@ def data(c: Calibration, context: ReportContext) -> Section:
     ]
     if c.gaze is not None:
         facts += _gaze_facts(c.gaze, context)
-    blocks.append(Facts(tuple(facts)))
+    blocks.append(DefinitionList(tuple(facts)))
     if c.gaze is not None:
         blocks += _sketch(c.gaze)
     if context.statements:

@@ -83,7 +83,7 @@ def _groups(depths: DepthTable) -> str:
     """Return what the line of groups of rows means, if there is one."""
     if GROUP_SOURCE not in depths.sources_mm:
         return ""
-    what = "what it adds that rows with one reference err together and not one by one"
+    what = "what the common error of rows with one reference adds"
     return f"{GROUP_SOURCE.capitalize()}: {what}. "
 
 

@@ -14,8 +14,8 @@ from calib.report.blocks import (
     Block,
     Cell,
     Paragraph,
+    PictureSheet,
     Section,
-    Sheet,
     Thumbnail,
     number,
     table,
@@ -68,9 +68,9 @@ def _row(camera: str, corners: Corners) -> tuple[Cell, ...]:
     )
 
 
-def _sheet(sheet: ContactSheet) -> Sheet:
+def _sheet(sheet: ContactSheet) -> PictureSheet:
     left_out = f"; {sheet.left_out} more are not shown" if sheet.left_out else ""
-    return Sheet(
+    return PictureSheet(
         key=f"pictures-{sheet.camera}",
         caption=f"Pictures of {sheet.camera.upper()} with the corners found{left_out}. Corners off "
         "their crossings, or a board read from the wrong end, spoil what follows; a board not "

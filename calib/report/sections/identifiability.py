@@ -41,7 +41,7 @@ def identifiability(c: Calibration, _: ReportContext) -> Section | None:
     blocks: list[Block] = [
         Paragraph(
             Markup(
-                "Parameters that move the readings alike cannot be told apart, however exact the "
+                "Parameters that move the readings alike cannot be distinguished, however exact the "
                 "rows are. So the rows' information is taken apart into combinations of "
                 "parameters, and each is held against what is known of any rig beforehand: {} mm "
                 "of <i>L</i><sub>b</sub>, {} mrad of <i>δ</i><sub>2</sub>, of the others their "
@@ -56,7 +56,7 @@ def identifiability(c: Calibration, _: ReportContext) -> Section | None:
         _combinations(first),
         picture("combinations", draw_identifiability(told), _caption(first)),
     ]
-    return Section("identifiability", "What the rows can tell", tuple(blocks))
+    return Section("identifiability", "Identifiability", tuple(blocks))
 
 
 def _verdict(found: Identifiability) -> list[Block]:
@@ -70,7 +70,7 @@ def _verdict(found: Identifiability) -> list[Block]:
             "note",
             _told(c),
             Markup(
-                "{} The depths of the rows are known to {} % all the same. What would tell: {}."
+                "{} The depths of the rows are known to {} % all the same. What would identify them: {}."
             ).format(
                 _held(found, c),
                 significant(100 * found.depth_std_rel, digits=2),
@@ -112,9 +112,9 @@ def _held(found: Identifiability, c: Combination) -> Markup:
 def _told(c: Combination) -> Text:
     symbols = [symbol(name) for name in c.names]
     if len(symbols) == 1:
-        return Markup("These targets say hardly anything of {}").format(symbols[0])
+        return Markup("These targets hold hardly any information on {}").format(symbols[0])
     before = Markup(", ").join(symbols[:-1])
-    return Markup("These targets cannot tell {} from {}").format(before, symbols[-1])
+    return Markup("These targets cannot distinguish {} from {}").format(before, symbols[-1])
 
 
 def _models(told: list[Identifiability], chosen: str | None) -> Table:
@@ -135,7 +135,7 @@ def _models(told: list[Identifiability], chosen: str | None) -> Table:
         "Model by model",
         (
             "Model",
-            "Combinations told by the rows",
+            "Combinations identified by the rows",
             "by the sweep",
             "left to the prior",
             "Condition number",

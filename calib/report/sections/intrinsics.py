@@ -12,7 +12,7 @@ from calib.report.blocks import (
     EMPTY,
     Block,
     Cell,
-    Facts,
+    DefinitionList,
     Paragraph,
     Section,
     Table,
@@ -147,7 +147,7 @@ def _bow(fit: LensFit) -> Cell:
     return number(f"{x}, {y}", fit.board_warp_mm[0])
 
 
-def _facts(i: Intrinsics) -> Facts:
+def _facts(i: Intrinsics) -> DefinitionList:
     lens = ", ".join(digits(float(k), 4).text for k in i.camera.distortion) or "none"
     return facts(
         ("Selected because", i.selection),

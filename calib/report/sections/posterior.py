@@ -7,7 +7,7 @@ from markupsafe import Markup
 
 from calib.fit.importance import K_HAT_LIMIT
 from calib.fit.posterior import ESS_GOAL, R_HAT_LIMIT, Posterior
-from calib.report.blocks import Block, Cell, Facts, Paragraph, Section, Table, table, words
+from calib.report.blocks import Block, Cell, DefinitionList, Paragraph, Section, Table, table, words
 from calib.report.context import ReportContext
 from calib.report.figures.posterior import draw_corner
 from calib.report.numbers import bounds, decimals, estimate, factor, signed, symbol, unit
@@ -39,12 +39,12 @@ def posterior(c: Calibration, _: ReportContext) -> Section | None:
                     Markup(
                         "Posterior of <em>{}</em>: each parameter (diagonal; lines at 2.5, 50 and "
                         "97.5 %) and each pair (regions of one and two standard deviations). A "
-                        "narrow slanted ridge is a pair that the data cannot tell apart; two "
+                        "narrow slanted ridge is a pair that the data cannot distinguish; two "
                         "peaks, a calibration with two answers; ragged regions, too few draws."
                     ).format(p.model),
                 )
             )
-        blocks += [_table(p), Facts(_facts(p))]
+        blocks += [_table(p), DefinitionList(_facts(p))]
     return Section("posterior", "Posterior and convergence", tuple(blocks))
 
 

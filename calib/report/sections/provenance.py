@@ -2,7 +2,16 @@
 
 from __future__ import annotations
 
-from calib.report.blocks import Block, Command, Facts, Paragraph, Section, Text, table, words
+from calib.report.blocks import (
+    Block,
+    Command,
+    DefinitionList,
+    Paragraph,
+    Section,
+    Text,
+    table,
+    words,
+)
 from calib.report.context import ReportContext
 from calib.report.numbers import decimals
 from calib.results.calibration import Calibration
@@ -25,7 +34,7 @@ def provenance(c: Calibration, context: ReportContext) -> Section:
             "The same dataset, seed and versions give the same calibration.json, byte for byte. "
             "results.h5 holds every array, run.toml what stands here. This page needs no network."
         ),
-        Facts(facts),
+        DefinitionList(facts),
         Paragraph("To make it again:"),
         Command(made.command),
     ]

@@ -14,7 +14,7 @@ from calib.report.blocks import (
     EMPTY,
     Block,
     Cell,
-    Facts,
+    DefinitionList,
     Paragraph,
     Section,
     Table,
@@ -69,7 +69,7 @@ def stereo(c: Calibration, _: ReportContext) -> Section | None:
     return Section("stereo", "Stereo reference", tuple(blocks))
 
 
-def _facts(s: StereoReference) -> Facts:
+def _facts(s: StereoReference) -> DefinitionList:
     return facts(
         ("Pose by", {"given": "the manifest"}.get(s.source, s.source)),
         ("Distance of the centres", f"{plus_minus(s.baseline_mm, s.baseline_std_mm)} mm"),

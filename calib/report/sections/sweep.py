@@ -6,7 +6,16 @@ import numpy as np
 from markupsafe import Markup
 
 from calib.images.sweep.yaw_axis import SweepResult
-from calib.report.blocks import Block, Facts, Paragraph, Section, Table, facts, table, words
+from calib.report.blocks import (
+    Block,
+    DefinitionList,
+    Paragraph,
+    Section,
+    Table,
+    facts,
+    table,
+    words,
+)
 from calib.report.context import ReportContext
 from calib.report.figures.sweep import draw_axis, draw_sweep
 from calib.report.numbers import (
@@ -34,7 +43,7 @@ def sweep(c: Calibration, _: ReportContext) -> Section | None:
             Markup(
                 "C2 was turned through known angles before a board at rest. From the pictures "
                 "follow the yaw axis in C2's frame and with it the distance <i>e</i> of the gaze "
-                "plane from the axis, which gaze rows near 90° cannot tell from "
+                "plane from the axis, which gaze rows near 90° cannot distinguish from "
                 "<i>L</i><sub>b</sub>. What was measured here enters the extended models."
             )
         ),
@@ -71,7 +80,7 @@ def _measured(s: SweepResult) -> Table:
     return table("What the sweep measures", ("Symbol", "Meaning", "Estimate ± u", "Unit"), rows)
 
 
-def _facts(s: SweepResult) -> Facts:
+def _facts(s: SweepResult) -> DefinitionList:
     direction = ", ".join(signed(fixed(float(d), 5)) for d in s.axis_direction_c2)
     foot = ", ".join(decimals(float(f), 2).text for f in s.axis_foot_c2_mm)
     low, high = np.rad2deg([s.readings_rad.min(), s.readings_rad.max()])

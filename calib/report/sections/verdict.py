@@ -11,11 +11,11 @@ from calib.report.blocks import (
     Block,
     Command,
     Items,
+    KeyFigures,
     Notice,
     Paragraph,
     Section,
     Text,
-    Tiles,
     table,
     words,
 )
@@ -86,7 +86,7 @@ def _rig(images: ImageResult) -> list[Block]:
     if images.stereo is not None:
         distance = plus_minus(images.stereo.baseline_mm, images.stereo.baseline_std_mm)
         tiles.append(("C1 to C2", f"{distance} mm", "distance of the optical centres"))
-    return [Tiles(tuple(tiles))] if tiles else []
+    return [KeyFigures(tuple(tiles))] if tiles else []
 
 
 def _gaze(gaze: GazeResult, context: ReportContext) -> list[Block]:
@@ -95,7 +95,7 @@ def _gaze(gaze: GazeResult, context: ReportContext) -> list[Block]:
         return [Notice("bad", "No model could be fitted"), Items(reasons)]
     tiles = [*_parameter_tiles(gaze), *_depth_tiles(gaze), *_validation_tiles(gaze, context)]
     return [
-        Tiles(tuple(tiles)),
+        KeyFigures(tuple(tiles)),
         Paragraph(
             Markup("Selected model: <strong>{}</strong>. {}.").format(
                 gaze.comparison.selected, _capital(gaze.comparison.reason)

@@ -22,13 +22,13 @@ from calib.fit.noise import (
     SPARE_FREEDOM,
     Tails,
     own_sigma,
+    reject_outliers,
     row_noise,
-    set_aside,
     weight,
 )
 from calib.fit.priors import NormalKnowledge
 from calib.fit.row_sums import RowSums, sum_rows
-from calib.geometry.misclosure import closure, closure_value
+from calib.geometry.misclosure import misclosure, misclosure_value
 from calib.geometry.parameters import PARAMETERS, Model, embed
 from calib.geometry.plane import OBSERVABLE
 from calib.rows.observations import Observations
@@ -171,7 +171,7 @@ class Problem:
     noise_prior: tuple[float, float]
     tails: Tails
 
-    def settle(self, theta: FloatArray, scale: float, *, accuracy: float = FINAL) -> Solution:
+    def solve(self, theta: FloatArray, scale: float, *, accuracy: float = FINAL) -> Solution:
         """Return the estimate, from a start, with the weights and the scale that agree with it.
 
         Raises
@@ -250,11 +250,11 @@ class Problem:
 
         def residual(x: FloatArray) -> FloatArray:
             return np.concatenate(
-                [closure_value(embed(x, self.model.free), gaze, z) / sigma, a @ x - b]
+                [misclosure_value(embed(x, self.model.free), gaze, z) / sigma, a @ x - b]
             )
 
         def jacobian(x: FloatArray) -> FloatArray:
-            slope = closure(embed(x, self.model.free), gaze, z, parameters=free).by_theta
+            slope = misclosure(embed(x, self.model.free), gaze, z, parameters=free).by_theta
             return np.concatenate([slope / sigma[:, None], a])
 
         solution = least_squares(
@@ -303,7 +303,7 @@ class Problem:
 
     def response(self, theta: FloatArray, scale: float) -> Response:
         """Return how the estimate answers to errors of the rows."""
-        c = closure(theta, self.rows.gaze, self.rows.z_mm, parameters=self.model.indices)
+        c = misclosure(theta, self.rows.gaze, self.rows.z_mm, parameters=self.model.indices)
         sigma = own_sigma(c, self.rows.std)
         strength = np.sqrt(weight(c.value / sigma, scale, self.tails))
         strength /= self.tails.core * scale * sigma
@@ -322,16 +322,16 @@ class Problem:
         return GroupEffect(added, float(np.trace(total @ added)))
 
     def _clean_scale(self, standardised: FloatArray, parameters: float) -> float:
-        """Return the noise scale of the rows that are not set aside as outliers."""
-        aside: BoolArray = np.zeros(len(standardised), dtype=np.bool_)
+        """Return the noise scale of the rows that are not rejected as outliers."""
+        rejected: BoolArray = np.zeros(len(standardised), dtype=np.bool_)
         scale = self.noise_scale(standardised, parameters)
         for _ in range(len(standardised)):
-            # An outlier set aside lowers the scale, and may bring another to light.
-            more = aside | set_aside(standardised, scale, parameters=parameters)
-            if more.sum() == aside.sum() or more.sum() > (1 - KEPT_SHARE) * len(more):
+            # An outlier rejected lowers the scale, and may bring another to light.
+            more = rejected | reject_outliers(standardised, scale, parameters=parameters)
+            if more.sum() == rejected.sum() or more.sum() > (1 - KEPT_SHARE) * len(more):
                 break
-            aside = more
-            scale = self.noise_scale(standardised[~aside], parameters)
+            rejected = more
+            scale = self.noise_scale(standardised[~rejected], parameters)
         return scale
 
 

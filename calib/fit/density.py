@@ -50,8 +50,8 @@ class LogPosterior:
     rows
         The rows, n of them.
     sigma
-        Stated uncertainty of each row's misclosure, shape (n,); fixed, so that the density is one of
-        the residuals alone.
+        Stated uncertainty of each row's misclosure, shape (n,); fixed, so that the density is one
+        of the residuals alone.
     log_unit
         Log of the density of an encoder reading per unit of standardised misclosure, shape (n,).
     power

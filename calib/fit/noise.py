@@ -1,6 +1,6 @@
 """The noise of a row: effective variance, Student-t tails, one scale for all rows.
 
-A row's misclosure F (see `calib.geometry.misclosure.misclosure`) has, to first order, the variance of the
+A row's misclosure F (see `calib.geometry.misclosure`) has, to first order, the variance of the
 errors in x1c, y1c, alpha2, gaze residual and z carried through it (effective variance; Orear 1982,
 doi 10.1119/1.12972). F / sigma then has unit spread if the stated uncertainties are right. Its
 density is Student's t with scale ``s * core``: s is the noise scale, by which the stated

@@ -1,7 +1,7 @@
 r"""How far rows miss the gaze plane, and what depth does when anything changes: all derivatives.
 
-The misclosure of a row whose depth z is known is :math:`F = (n \cdot p + e) / z - n \cdot r`, in the
-notation of `calib.geometry.plane`. F = 0 defines depth, so that depth's derivatives follow from
+The misclosure of a row whose depth z is known is :math:`F = (n \cdot p + e) / z - n \cdot r`, in
+the notation of `calib.geometry.plane`. F = 0 defines depth, so that depth's derivatives follow from
 those of F. Lengths in mm, angles in rad.
 """
 

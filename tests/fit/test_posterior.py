@@ -39,7 +39,7 @@ def posteriors(fits: dict[str, RobustFit]) -> dict[str, Posterior]:
 
 @pytest.mark.parametrize("name", list(MODELS))
 def test_log_posterior_is_the_sum_of_its_parts(name: str) -> None:
-    """Property: the matrix product equals row densities from `misclosure` plus priors, any model."""
+    """Property: the matrix product equals row densities of `misclosure` plus priors."""
     model, rng = MODELS[name], np.random.default_rng(0)
     rows, theta = simulated(rng, count=17, axis_z_mm=-20.0)
     measured = Measured(("eccentricity_mm",), np.array([2.0]), np.array([[0.5]]))

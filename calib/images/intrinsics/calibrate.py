@@ -360,8 +360,8 @@ def _picture_warnings(
         warnings.append(f"{camera}: repeats of other images are not used: {', '.join(repeated)}")
     if inconsistent:
         warnings.append(
-            f"{camera}: most corners of {', '.join(inconsistent)} contradict the other images and were "
-            "left out: look whether such a picture is turned, scaled, or taken with another focus "
+            f"{camera}: most corners of {', '.join(inconsistent)} contradict the other images "
+            "and were left out: look whether such a picture is turned, scaled, or taken with another focus "
             "or camera"
         )
     return tuple(warnings)

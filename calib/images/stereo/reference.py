@@ -287,8 +287,8 @@ def _pairs_gate(inconsistent: tuple[str, ...], count: int) -> Gate:
         "stereo-pairs",
         False,
         f"{len(inconsistent)} of {count} pairs do not fit the pose of C2 that the others share: "
-        f"{', '.join(inconsistent)}; look whether their two pictures were taken together, of C1 and C2 in "
-        "this order, none turned, with C2 at its yaw; mend them, or leave the pairs out",
+        f"{', '.join(inconsistent)}; look whether their two pictures were taken together, of C1 and "
+        "C2 in this order, none turned, with C2 at its yaw; mend them, or leave the pairs out",
     )
 
 
@@ -332,7 +332,8 @@ def _agreement_gate(record: StereoSolve, plain: StereoSolve) -> Gate:
         f"mrcal and OpenCV differ by {_difference(record, plain)}, chi2 {chi2:.1f} of 6; rms "
         f"{record.rms_px:.3f} and {plain.rms_px:.3f} px; mrcal finds the board deformed by "
         f"{x:z.2f} mm along x and {y:z.2f} mm along y, OpenCV takes it to be flat",
-        remedy="if the deformation is large use a stiffer board, else look for misread boards in the pairs",
+        remedy="if the deformation is large use a stiffer board, else look for misread boards "
+        "in the pairs",
     )
 
 

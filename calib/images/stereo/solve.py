@@ -188,7 +188,7 @@ def solve_mrcal(start: PairStart, board: Board, rig: CameraPair, *, seed: int) -
 
 
 def solve_mrcal_free(start: PairStart, board: Board, rig: CameraPair, *, seed: int) -> StereoSolve:
-    """Solve pose and intrinsics jointly from the pairs alone with mrcal, deformation of the board free.
+    """Solve pose and intrinsics jointly from the pairs alone with mrcal, the board deformable.
 
     Raises
     ------

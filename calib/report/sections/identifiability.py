@@ -41,8 +41,8 @@ def identifiability(c: Calibration, _: ReportContext) -> Section | None:
     blocks: list[Block] = [
         Paragraph(
             Markup(
-                "Parameters that move the readings alike cannot be distinguished, however exact the "
-                "rows are. So the rows' information is taken apart into combinations of "
+                "Parameters that move the readings alike cannot be distinguished, however exact "
+                "the rows are. So the rows' information is taken apart into combinations of "
                 "parameters, and each is held against what is known of any rig beforehand: {} mm "
                 "of <i>L</i><sub>b</sub>, {} mrad of <i>δ</i><sub>2</sub>, of the others their "
                 "default prior. A combination is open if the rows alone say less of it than that. "
@@ -70,7 +70,8 @@ def _verdict(found: Identifiability) -> list[Block]:
             "note",
             _told(c),
             Markup(
-                "{} The depths of the rows are known to {} % all the same. What would identify them: {}."
+                "{} The depths of the rows are known to {} % all the same. What would "
+                "identify them: {}."
             ).format(
                 _held(found, c),
                 significant(100 * found.depth_std_rel, digits=2),

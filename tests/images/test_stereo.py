@@ -241,7 +241,7 @@ def test_bowed_board_is_named_as_the_reason() -> None:
         noisy(rng, scene), scenes.BOARD, KNOWN, stems=scene.c1.images, seed=0
     )
     agreement = next(g for g in reference.gates if g.name == "stereo-backends")
-    assert "bowed by 1.49 mm along x and -1.01 mm along y" in agreement.detail
+    assert "deformed by 1.49 mm along x and -1.01 mm along y" in agreement.detail
     error = reference.pose_12 - scenes.POSE_12
     assert np.all(np.abs(error) < 4 * np.sqrt(np.diag(reference.covariance)))
     assert reference.rms_px == pytest.approx(SIGMA_PX, rel=0.05)
@@ -259,7 +259,7 @@ def test_a_flat_board_has_no_bow_of_minus_nought() -> None:
     assert bow is not None
     assert -0.005 < min(bow) < 0
     agreement = next(g for g in reference.gates if g.name == "stereo-backends")
-    assert "bowed by 0.00 mm along x and 0.00 mm along y" in agreement.detail
+    assert "deformed by 0.00 mm along x and 0.00 mm along y" in agreement.detail
 
 
 def test_pairs_read_from_either_end_are_put_right() -> None:

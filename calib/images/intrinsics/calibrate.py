@@ -361,8 +361,8 @@ def _picture_warnings(
     if inconsistent:
         warnings.append(
             f"{camera}: most corners of {', '.join(inconsistent)} contradict the other images "
-            "and were left out: look whether such a picture is turned, scaled, or taken with another focus "
-            "or camera"
+            "and were left out: look whether such a picture is turned, scaled, or taken with "
+            "another focus or camera"
         )
     return tuple(warnings)
 

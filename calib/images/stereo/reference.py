@@ -287,8 +287,8 @@ def _pairs_gate(inconsistent: tuple[str, ...], count: int) -> Gate:
         "stereo-pairs",
         False,
         f"{len(inconsistent)} of {count} pairs do not fit the pose of C2 that the others share: "
-        f"{', '.join(inconsistent)}; look whether their two pictures were taken together, of C1 and "
-        "C2 in this order, none turned, with C2 at its yaw; mend them, or leave the pairs out",
+        f"{', '.join(inconsistent)}; look whether their two pictures were taken together, of C1 "
+        "and C2 in this order, none turned, with C2 at its yaw; mend them, or leave the pairs out",
     )
 
 

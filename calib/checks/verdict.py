@@ -278,8 +278,8 @@ def _together(found: GroupCheck) -> str:
     return (
         f"rows of one group have a common error (p = {found.probability:.0e} if they were "
         f"independent, {found.groups} groups). If a group has its reference depth from one "
-        f"measurement, state u_z_group_rel = {found.u_z_rel:.1g} or so in [gaze], or keep one row a group; until then "
-        "the intervals of depth may be too short"
+        f"measurement, state u_z_group_rel = {found.u_z_rel:.1g} or so in [gaze], or keep one row "
+        "a group; until then the intervals of depth may be too short"
     )
 
 

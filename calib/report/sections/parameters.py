@@ -70,9 +70,9 @@ def parameters(c: Calibration, context: ReportContext) -> Section | None:
                 "Seen near 90°, <i>e</i> / sin <i>α</i> hardly changes: <i>L</i><sub>b</sub> and "
                 "<i>e</i> can then be distinguished only by a wide sweep or by prior knowledge. "
                 "Their sum, the baseline seen at 90°, is well determined and is what compares "
-                "with the paper's <i>L</i><sub>b</sub>. A parameter counts as identified by rows and sweep if "
-                "the priors take less than a quarter off its standard uncertainty, as identified by "
-                "the prior if they take more than three quarters."
+                "with the paper's <i>L</i><sub>b</sub>. A parameter counts as identified by rows "
+                "and sweep if the priors take less than a quarter off its standard uncertainty, "
+                "as identified by the prior if they take more than three quarters."
             )
         ),
         picture(

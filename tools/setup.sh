@@ -67,8 +67,11 @@ if ! $venv/bin/python -m pip --version >/dev/null 2>&1 || { [ -e $venv/bin/calib
 fi
 say "installing the locked packages ($lock)"
 pip() { $venv/bin/python -m pip install --quiet --disable-pip-version-check "$@"; }
-pip --require-hashes -r "$lock" ||
+# The lock is the whole set: what cvxpy requires and no fit calls (SCS, 150 MB) is not in it.
+pip --no-deps --require-hashes -r "$lock" ||
     fail "pip could not install them; is there a network, or a proxy to name in PIP_INDEX_URL?"
+# Environments of earlier sets hold the distribution under its former name, and SCS.
+$venv/bin/python -m pip uninstall --quiet --yes calib scs >/dev/null 2>&1 || true
 pip --no-deps --no-build-isolation -e . || fail "pip could not install calib itself"
 # The dev set contains the runtime set, pinned alike.
 printf '%s' "$wanted" >"$stamp"

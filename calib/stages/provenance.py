@@ -14,6 +14,10 @@ from calib import __version__
 from calib.stages.fingerprint import package_version
 
 
+DISTRIBUTION = "active-gazing-calib"
+"""Name of this package on the index; `calib` is taken there."""
+
+
 @dataclass(frozen=True)
 class Provenance:
     """How a run was made.
@@ -46,7 +50,8 @@ class Provenance:
 
 def direct_packages() -> dict[str, str]:
     """Return the versions of the packages that calib declares, by name."""
-    names = [line.split(";")[0] for line in requires("calib") or []]
+    lines = [line for line in requires(DISTRIBUTION) or [] if "extra ==" not in line]
+    names = [line.split(";")[0] for line in lines]
     bare = sorted({_bare(name) for name in names})
     return {name: version for name in bare if (version := package_version(name)) is not None}
 

@@ -107,7 +107,7 @@ def _on_cluster(tasks: Sequence[Task], address: str) -> Iterator[Record]:
         distributed: Any = importlib.import_module("distributed")
     except ImportError as error:
         raise UsageError(
-            "--scheduler needs the package distributed: pip install 'calib[cluster]'"
+            "--scheduler needs the package distributed: pip install 'active-gazing-calib[cluster]'"
         ) from error
     try:
         client = distributed.Client(address, timeout=CONNECT_SECONDS)

@@ -68,3 +68,8 @@ def test_exit_status(audit: ModuleType, tmp_path: Path, capsys: pytest.CaptureFi
     lock.write_text("numpy==1.0.0\n")
     assert audit.main([str(lock)]) == 1
     assert "bad.lock: numpy: no hashes" in capsys.readouterr().err
+
+
+def test_only_what_is_left_out_on_purpose_may_be_missing(audit: ModuleType) -> None:
+    assert audit.left_out("cvxpy 1.9.2 requires scs, which is not installed.")
+    assert not audit.left_out("cvxpy 1.9.2 requires numpy, which is not installed.")

@@ -13,7 +13,6 @@ from pathlib import Path
 from calib import __version__
 from calib.stages.fingerprint import package_version
 
-
 DISTRIBUTION = "active-gazing-calib"
 """Name of this package on the index; `calib` is taken there."""
 

@@ -22,7 +22,7 @@ from calib.chain.calibrate import Options, calibrate
 from calib.dataset.load import load_dataset
 from calib.stages import fingerprint
 
-OBSERVED = {"observations", "sense", "base/linear", "base/convex"}
+OBSERVED = {"observations", "encoder direction", "base/linear", "base/convex"}
 ROBUST = {f"{model}/robust" for model in ("base", "axis-offset", "axis-tilt", "encoder")}
 POSTERIOR = {"base/posterior", "axis-offset/posterior"}
 TOLD = {"base/identifiability", "axis-offset/identifiability"}

@@ -13,12 +13,10 @@ from calib.fit.identifiability import Identifiability
 from calib.fit.posterior import ESS_GOAL, R_HAT_LIMIT, Posterior
 from calib.fit.priors import NOISE_SCALE
 from calib.geometry.parameters import INDEX, PARAMETERS
-from calib.geometry.plane import OBSERVABLE
 from calib.images.result import ImageResult
 from calib.instrument.averaging import doubt_of
 from calib.instrument.calibrated import CalibratedInstrument, DepthTable, normalised_error
 from calib.results.calibration import GazeResult
-from calib.rows.observations import Observations
 
 NOISE_SCALE_LIMIT = 5.0
 """Residuals five times what the manifest states: no honest estimate is that far off; either a
@@ -33,16 +31,6 @@ ZERO_ERROR_REMARK_RAD = float(np.deg2rad(5.0))
 
 MISSED_SHARE = 0.1
 """Share of validation depths outside their 95 % intervals that chance explains often enough."""
-
-GAZE_RESIDUAL_REMARK_RAD = float(np.deg2rad(0.5))
-"""Half a degree off C2's centre column; a motor's count leaves a tenth."""
-
-CENTRE_AHEAD_MM = 30.0
-"""How far C2's centre stands before its yaw axis is no parameter. The residual counts as a turn
-about the axis, where it is an angle at C2's centre: at depth z it is too large by this over z."""
-
-CENTRE_AHEAD_SIGMAS = 3.0
-"""Standard deviations of a row's own noise, as an angle, that such an error may have unremarked."""
 
 DEPTH_LIMIT_REL = 0.2
 """Relative standard uncertainty, in the middle of the calibrated depths, above which nothing has
@@ -246,7 +234,6 @@ def gaze_warnings(gaze: GazeResult) -> tuple[str, ...]:
     if gaze.average is not None and gaze.depths is not None:
         told = doubt_of(gaze.average, gaze.depths)
         found += [] if told is None else [told]
-    found += _off_centre(gaze.rows)
     if gaze.calibrated is not None and gaze.calibrated.measures_residual:
         found.append(
             "depth uncertainties are those of readings with C2's image (u2_px), as in the "
@@ -283,26 +270,13 @@ def _together(found: GroupCheck) -> str:
     )
 
 
-def _off_centre(rows: Observations) -> list[str]:
-    """Return a warning if C2 did not gaze at the targets that its images show."""
-    off = np.abs(rows.gaze_residual_rad)
-    noise = np.hypot(rows.std[:, OBSERVABLE.x1c], rows.std[:, OBSERVABLE.residual])
-    unseen = CENTRE_AHEAD_SIGMAS * noise * rows.z_mm / CENTRE_AHEAD_MM
-    limit = np.minimum(GAZE_RESIDUAL_REMARK_RAD, np.where(noise > 0, unseen, np.inf))
-    far, worst = int(np.sum(off > limit)), int(np.argmax(off))
-    if not far:
-        return []
-    return [
-        f"in {far} of {len(rows)} rows the target is off C2's centre column, by "
-        f"{np.rad2deg(off[worst]):.2f} deg in {rows.ids[worst]}: the model holds near the centre "
-        "column, as C2's centre stands some way before its yaw axis. Turn C2 until it gazes at the "
-        "target; if it did, check [board] target, u2_px and the principal point of C2"
-    ]
-
-
 def _left_to_priors(found: Identifiability) -> list[str]:
     """Return what the rows leave open, with the parameters that priors therefore decide."""
-    left = [name for name, who in zip(found.names, found.decided_by, strict=True) if who == "prior"]
+    left = [
+        name
+        for name, who in zip(found.names, found.decided_by, strict=True)
+        if who == "prior" and name not in found.idle
+    ]
     texts: list[str] = []
     for combination in found.open:
         if any(text.startswith(combination.words) for text in texts):

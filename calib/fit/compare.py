@@ -299,7 +299,7 @@ def _left_out_depth_error(rows: Observations, fit: RobustFit, priors: Priors) ->
     for part in np.unique(parts):
         out = parts == part
         try:
-            again = fit_robust(rows.take(~out), MODELS[fit.model], priors, start=fit.theta)
+            again = fit_robust(rows.take(~out), fit.structure, priors, start=fit.theta)
         except EstimationError:
             return None
         unseen = rows.take(out)

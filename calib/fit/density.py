@@ -3,7 +3,8 @@
 Without encoder terms other than its zero, the misclosure is linear in twelve products of what a row
 says: the sines and cosines of its reading times 1/z, x1c, y1c and 1, and those four themselves.
 For m vectors and n rows it is then one (m x 12) by (12 x n) matrix product; columns that a model
-never uses are left out.
+never uses are left out. Rows off C2's centre column have fifteen more, of which the standoff uses
+one, the eccentricity another and a rolled C2 the rest.
 
 The rows' density enters with a power, the efficiency of its tails. Their noise is nearly normal,
 the t density is there for the outliers among them; taken at its word it would make the posterior
@@ -26,7 +27,7 @@ from calib.core.arrays import BoolArray, FloatArray, IntArray
 from calib.fit.noise import LOG_SCALE_LIMIT, ROBUST, Tails, log_density, row_noise
 from calib.fit.priors import Priors, measured_of, prior_of
 from calib.geometry.parameters import INDEX, PARAMETERS, EncoderTerm, Model, embed
-from calib.geometry.plane import frame
+from calib.geometry.plane import Axes, Frame, frame
 from calib.rows.observations import Observations
 
 CHUNK_ELEMENTS = 16_000
@@ -119,7 +120,9 @@ class LogPosterior:
 
     def _standardised(self, theta: FloatArray) -> Iterator[FloatArray]:
         """Yield the closures over sigma, shape (m, some rows), chunk by chunk."""
-        coefficients = _coefficients(theta, zero_in=self._by_angles)
+        coefficients = _coefficients(
+            theta, zero_in=self._by_angles, off_centre=self.rows.off_centre
+        )
         step = max(1, CHUNK_ELEMENTS // len(theta))
         for start in range(0, len(self.rows), step):
             part = slice(start, min(start + step, len(self.rows)))
@@ -135,23 +138,34 @@ class LogPosterior:
 
     @cached_property
     def _used(self) -> BoolArray:
-        """Which columns of the coefficients the model ever uses, shape (12,)."""
-        if self._by_angles:
-            return np.ones(12, dtype=np.bool_)
+        """Which columns of the coefficients the model ever uses, shape (12,) or (27,)."""
         count = len(self.model.free)
         some = embed(np.linspace(0.1, 0.3, count)[None], self.model.free)
-        used: BoolArray = np.any(_coefficients(some, zero_in=False) != 0, axis=0)
+        coefficients = _coefficients(some, zero_in=False, off_centre=self.rows.off_centre)
+        used: BoolArray = np.any(coefficients != 0, axis=0)
+        if self._by_angles:
+            # Sines and cosines of turned angles come of both, so that a triple stays together.
+            used = np.repeat(used.reshape(-1, 3).any(axis=1), 3)
         return used
 
     @cached_property
     def _basis(self) -> FloatArray:
         """What the used coefficients multiply, over sigma, shape (used, n)."""
         rows = self.rows
-        angle = rows.alpha2_rad + rows.gaze_residual_rad
+        angle, r = rows.alpha2_rad + rows.gaze_residual_rad, rows.gaze_residual_rad
         turn = (np.sin(angle), np.cos(angle), np.ones_like(angle))
         place = (1 / rows.z_mm, -rows.x1c, -rows.y1c, -np.ones_like(angle))
-        basis = (t * q / self.sigma for q in place for t in turn)
-        return np.stack([b for b, use in zip(basis, self._used, strict=True) if use])
+        basis = [t * q for q in place for t in turn]
+        if rows.off_centre:
+            beside = (
+                np.sin(r) * np.sin(rows.alpha2_rad),
+                np.sin(r) * np.cos(rows.alpha2_rad),
+                1 - np.cos(r),
+            )
+            nought = np.zeros_like(r)
+            basis += [t * q for q in place for t in beside]
+            basis += [nought, nought, np.sin(r) / rows.z_mm]
+        return np.stack([b / self.sigma for b, use in zip(basis, self._used, strict=True) if use])
 
     def _by_angle(self, theta: FloatArray, coefficients: FloatArray, part: slice) -> FloatArray:
         """Return the same where each vector turns each reading in its own way.
@@ -160,7 +174,7 @@ class LogPosterior:
         """
         turn = theta[:, self._encoder_terms] @ self._turns[:, part]
         sine, cosine = _sine_cosine(turn)
-        basis = self._basis[:, part]
+        basis, coefficients = self._basis[:, part], coefficients[:, self._used]
         of_sine, of_cosine = coefficients[:, 0::3], coefficients[:, 1::3]
         along = of_sine @ basis[0::3] + of_cosine @ basis[1::3]
         across = of_sine @ basis[1::3] - of_cosine @ basis[0::3]
@@ -210,21 +224,46 @@ def _log_product(factors: FloatArray) -> FloatArray:
     return total
 
 
-def _coefficients(theta: FloatArray, *, zero_in: bool) -> FloatArray:
-    """Return what multiplies the basis, shape (m, 12).
+def _coefficients(theta: FloatArray, *, zero_in: bool, off_centre: bool) -> FloatArray:
+    """Return what multiplies the basis, shape (m, 12), or (m, 27) for rows off the centre column.
 
-    Order: sine, cosine and 1 of the reading, for each of 1/z, -x1c, -y1c, -1. The encoder's zero
-    is carried by the coefficients unless `zero_in` says that the angles hold it already.
+    Order: sine, cosine and 1 of the gaze angle, for each of 1/z, -x1c, -y1c, -1. Off the centre by
+    r: sin r times sine and cosine of the reading and 1 - cos r, for each of the same; sin(r) / z
+    after two empty columns. The encoder's zero is carried by the coefficients unless `zero_in` says
+    that the angles hold it already.
     """
     f = frame(theta)
-    u, v, w = f.basis()
-    if not zero_in:
-        delta2 = theta[:, INDEX["delta2_rad"], None]
-        u, v = np.cos(delta2) * u - np.sin(delta2) * v, np.sin(delta2) * u + np.cos(delta2) * v
-    on_axis = [(n * f.point).sum(axis=1) for n in (u, v, w)]
-    on_axis[2] = on_axis[2] + f.offset
-    columns = on_axis + [n[:, k] for k in range(3) for n in (u, v, w)]
+    zero = np.zeros(len(theta)) if zero_in else theta[:, INDEX["delta2_rad"]]
+    columns = _triples(f, f.basis(), f.offset, zero)
+    if off_centre:
+        # cos(r) n(a) - sin(r) g(a) less n(a + r), with g the optical axis.
+        x, z, y = f.axes
+        cos, sin = np.cos(f.roll)[:, None], np.sin(f.roll)[:, None]
+        columns += _triples(f, ((cos - 1) * z, (1 - cos) * x, -sin * y), -f.offset, zero)
+        nought = np.zeros(len(theta))
+        columns += [nought, nought, -f.standoff]
     return np.stack(columns, axis=1)
+
+
+def _triples(f: Frame, axes: Axes, offset: FloatArray, zero: FloatArray) -> list[FloatArray]:
+    """Return the twelve columns of sin(a) u + cos(a) v + w and of its distance from the axis.
+
+    Parameters
+    ----------
+    axes
+        u, v, w, shape (m, 3) each.
+    offset
+        Of the distance, mm, what does not turn, shape (m,).
+    zero
+        Zero error that the angles do not hold, rad, shape (m,).
+    """
+    u, v, w = axes
+    if zero.any():
+        cos, sin = np.cos(zero)[:, None], np.sin(zero)[:, None]
+        u, v = cos * u - sin * v, sin * u + cos * v
+    on_axis = [(n * f.point).sum(axis=1) for n in (u, v, w)]
+    on_axis[2] = on_axis[2] + offset
+    return on_axis + [n[:, k] for k in range(3) for n in (u, v, w)]
 
 
 def log_posterior(

@@ -21,7 +21,6 @@ from calib.fit.information import kept
 from calib.fit.noise import own_sigma
 from calib.fit.robust import RobustFit
 from calib.geometry.misclosure import misclosure
-from calib.geometry.parameters import MODELS
 from calib.geometry.plane import OBSERVABLE
 from calib.rows.observations import Observations
 
@@ -66,7 +65,7 @@ def check_groups(rows: Observations, fit: RobustFit) -> GroupCheck:
     if count < LEAST_GROUPS:
         return GroupCheck(count, len(chosen), 1.0, 0.0)
     some = rows.take(chosen)
-    c = misclosure(fit.theta, some.gaze, some.z_mm, parameters=MODELS[fit.model].indices)
+    c = misclosure(fit.theta, some.gaze, some.z_mm, parameters=fit.structure.indices)
     weight = 1 / (own_sigma(c, some.std) * fit.noise_scale)
     slope = weight[:, None] * (c.by_theta @ _root(fit.covariance - fit.by_shared @ fit.by_shared.T))
     shared = np.zeros((len(some), 0))

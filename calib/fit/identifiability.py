@@ -14,7 +14,7 @@ from calib.fit.information import Known, beforehand, kept, row_slopes, slopes
 from calib.fit.priors import Priors, measured_of, prior_of
 from calib.fit.robust import DECIDED, RobustFit
 from calib.geometry.misclosure import misclosure
-from calib.geometry.parameters import MODELS, PARAMETERS, Model
+from calib.geometry.parameters import PARAMETERS, STANDOFF, Model
 from calib.geometry.plane import OBSERVABLE
 from calib.rows.observations import Observations
 
@@ -24,6 +24,10 @@ UNDETERMINED = 1.0
 PREDICTED_LIMIT_REL = 0.05
 """Relative standard deviation of depth, from the parameters alone, at the rows' own depths. Above
 it the calibration is not worth its rows: the paper's own errors are 8 % and less."""
+
+MATTERS = 0.3
+"""Share of a row's own uncertainty above which what is uncertain of the standoff matters to it: in
+quadrature it adds 4 %. The fraction of a count by which a motor misses stays far below."""
 
 INVOLVED = 0.25
 """Least share of a unit vector's length at which a parameter is named as part of it."""
@@ -108,6 +112,9 @@ class Identifiability:
         Whether a sweep measured any parameter of the model.
     depth_std_rel
         Greatest relative standard deviation of depth, from the parameters alone, over the rows.
+    idle
+        Parameters left to their priors without any row's depth depending on them noticeably: the
+        standoff, where C2 gazes at all targets.
     gate
         Whether that is small enough. Large correlations alone fail nothing.
     """
@@ -123,6 +130,7 @@ class Identifiability:
     decided_by: tuple[str, ...]
     has_sweep: bool
     depth_std_rel: float
+    idle: tuple[str, ...]
     gate: Gate
 
     @property
@@ -139,7 +147,7 @@ class Identifiability:
 
 def identifiability(rows: Observations, fit: RobustFit, priors: Priors) -> Identifiability:
     """Return what `rows` can tell of the model of `fit`, at its estimate."""
-    model = MODELS[fit.model]
+    model = fit.structure
     unit = beforehand(model)
     own = row_slopes(rows, fit) * unit
     measured = measured_of(model, priors).root()[0] * unit
@@ -153,7 +161,8 @@ def identifiability(rows: Observations, fit: RobustFit, priors: Priors) -> Ident
     covariance = levels.priors.covariance
     std = np.sqrt(np.diag(covariance))
     worst = _depth_std_rel(rows, fit, covariance * np.outer(unit, unit))
-    combinations = tuple(_combination(levels, k, rows, fit) for k in range(len(unit)))
+    idle = _idle(rows, fit, std * unit)
+    combinations = tuple(_combination(levels, k, rows, fit, idle) for k in range(len(unit)))
     each = np.eye(len(unit))
     return Identifiability(
         model=model.name,
@@ -167,6 +176,7 @@ def identifiability(rows: Observations, fit: RobustFit, priors: Priors) -> Ident
         decided_by=_decided_by(fit, levels, priors),
         has_sweep=levels.has_sweep,
         depth_std_rel=worst,
+        idle=idle,
         gate=_gate(model, worst, combinations),
     )
 
@@ -181,14 +191,27 @@ class _Levels:
     has_sweep: bool
 
 
-def _combination(levels: _Levels, k: int, rows: Observations, fit: RobustFit) -> Combination:
+def _idle(rows: Observations, fit: RobustFit, std: FloatArray) -> tuple[str, ...]:
+    """Return `Identifiability.idle`, from the standard deviations with priors, shape (p,)."""
+    if STANDOFF not in fit.names:
+        return ()
+    slope = np.abs(slopes(rows, fit)[:, fit.names.index(STANDOFF)])
+    return (STANDOFF,) if slope.max() * std[fit.names.index(STANDOFF)] < MATTERS else ()
+
+
+def _combination(
+    levels: _Levels, k: int, rows: Observations, fit: RobustFit, idle: tuple[str, ...]
+) -> Combination:
     direction = levels.rows.directions[k]
     singular = float(levels.rows.value[k])
     alone = 1 / singular if singular > 0 else float("inf")
     swept, known = (float(x.std(direction[None])[0]) for x in (levels.sweep, levels.priors))
     names = tuple(n for n, d in zip(fit.names, direction, strict=True) if abs(d) > INVOLVED)
     told_by = "rows" if alone <= UNDETERMINED else "sweep" if swept <= UNDETERMINED else "prior"
-    remedies = _remedies(names, rows, fit, swept=levels.has_sweep) if told_by == "prior" else ()
+    named = tuple(name for name in names if name not in idle)
+    asks = told_by == "prior" and len(named) > 0
+    names = named or names
+    remedies = _remedies(names, rows, fit, swept=levels.has_sweep) if asks else ()
     return Combination(names, direction, singular, alone, swept, known, told_by, remedies)
 
 
@@ -216,7 +239,7 @@ def _depth_std_rel(rows: Observations, fit: RobustFit, covariance: FloatArray) -
 
     At their reference depths: those of rows that agree, so that no outlier's gaze decides it.
     """
-    c = misclosure(fit.theta, rows.gaze, rows.z_mm, parameters=MODELS[fit.model].indices)
+    c = misclosure(fit.theta, rows.gaze, rows.z_mm, parameters=fit.structure.indices)
     # F(theta, q, z) = 0 defines z, so dz = -F_theta dtheta / F_z.
     slope = c.by_theta / (c.by_observable[:, OBSERVABLE.z] * rows.z_mm)[:, None]
     relative = np.sqrt(np.einsum("ni,ij,nj->n", slope, covariance, slope))
@@ -240,6 +263,7 @@ _BY_SWEEP = (
     "encoder_scale",
     "encoder_cos_rad",
     "encoder_sin_rad",
+    STANDOFF,
 )
 """Parameters of which a yaw sweep tells."""
 
@@ -273,7 +297,7 @@ def _remedies(
 def _wider(names: tuple[str, ...], rows: Observations, fit: RobustFit) -> list[str]:
     """Return over which readings as many targets would tell all of `names` by themselves."""
     low, high = np.rad2deg([rows.alpha2_rad.min(), rows.alpha2_rad.max()])
-    model = MODELS[fit.model]
+    model = fit.structure
     unit, wanted = beforehand(model), [model.free.index(name) for name in names]
     each = np.eye(len(unit))[wanted]
     for half in HALF_WIDTHS_DEG:

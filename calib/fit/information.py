@@ -17,7 +17,7 @@ from calib.core.arrays import BoolArray, FloatArray
 from calib.fit.noise import is_outlier, row_noise
 from calib.fit.robust import RobustFit
 from calib.geometry.misclosure import misclosure
-from calib.geometry.parameters import MODELS, PARAMETERS, Model
+from calib.geometry.parameters import PARAMETERS, Model
 from calib.rows.observations import Observations
 
 RULER = 10.0
@@ -59,7 +59,7 @@ def row_information(rows: Observations, fit: RobustFit) -> FloatArray:
 
 def slopes(rows: Observations, fit: RobustFit) -> FloatArray:
     """Return G of all rows, shape (n, p)."""
-    c = misclosure(fit.theta, rows.gaze, rows.z_mm, parameters=MODELS[fit.model].indices)
+    c = misclosure(fit.theta, rows.gaze, rows.z_mm, parameters=fit.structure.indices)
     weight = np.sqrt(fit.tails.efficiency) / (row_noise(fit.theta, rows).sigma * fit.noise_scale)
     slope: FloatArray = c.by_theta * weight[:, None]
     return slope

@@ -215,7 +215,7 @@ def _exact(
 ) -> tuple[FloatArray, bool]:
     """Return log densities of a unit's rows, (m,), by the posterior of the others; if reliable."""
     stay = np.setdiff1d(np.arange(len(rows)), left_out)
-    again = fit_robust(rows.take(stay), MODELS[fit.model], priors, start=fit.theta)
+    again = fit_robust(rows.take(stay), fit.structure, priors, start=fit.theta)
     # The weights stay those of the full fit, so that all terms speak of the same density.
     target = posterior_of(fit, rows, priors)
     sample = sample_importance(

@@ -31,7 +31,6 @@ from calib.fit.density import LogPosterior, log_posterior
 from calib.fit.importance import ImportanceSample, Proposal, sample_importance
 from calib.fit.priors import NOISE_SCALE, Priors
 from calib.fit.robust import RobustFit
-from calib.geometry.parameters import MODELS
 from calib.rows.observations import Observations
 
 ENSEMBLES = 4
@@ -157,7 +156,7 @@ def posterior_of(fit: RobustFit, rows: Observations, priors: Priors) -> LogPoste
     """Return the log posterior density of the model of `fit`, with its outliers and tails."""
     return log_posterior(
         rows,
-        MODELS[fit.model],
+        fit.structure,
         priors,
         fit.theta,
         rejected=fit.rejected,

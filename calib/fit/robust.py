@@ -22,7 +22,7 @@ from calib.fit.priors import Priors, measured_of, prior_of
 from calib.fit.reweighting import Problem, Solution, inverse
 from calib.fit.row_sums import residuals
 from calib.fit.start import find_start, some_rows
-from calib.geometry.parameters import MODELS, Model, embed
+from calib.geometry.parameters import MODELS, STANDOFF, Model, embed, model_for
 from calib.rows.observations import GROUP_SOURCE, Observations
 
 ROUGH = 1e-3
@@ -38,8 +38,8 @@ which a step leaves out or knows at its start only."""
 SPARE_ROWS = 3
 """Rows beyond the parameters: fewer leave the noise scale to its prior."""
 
-LEFT_TO_PRIOR = ("eccentricity_mm",)
-"""Parameters that gaze rows hardly ever tell from others, and therefore need no row."""
+LEFT_TO_PRIOR = ("eccentricity_mm", STANDOFF)
+"""Parameters that gaze rows hardly ever tell from others, or at all, and therefore need no row."""
 
 MINIMUM_HEIGHT = 0.05
 """Least spread of y1c for a tilt: at 1 deg of tilt it moves the gaze by 0.9 mrad, three steps of
@@ -119,6 +119,11 @@ class RobustFit:
         return self.by_shared[:, [name == GROUP_SOURCE for name in self.shared_names]]
 
     @property
+    def structure(self) -> Model:
+        """The model with the parameters that were free in the fit."""
+        return replace(MODELS[self.model], free=self.names)
+
+    @property
     def theta(self) -> FloatArray:
         """The full parameter vector, shape (COUNT,)."""
         return embed(self.values, self.names)
@@ -132,10 +137,11 @@ def fit_model(rows: Observations, priors: Priors, *, model: str) -> RobustFit:
     EstimationError
         If they cannot, with the reason.
     """
-    reason = too_much(rows, MODELS[model])
+    free = model_for(model, off_centre=rows.off_centre)
+    reason = too_much(rows, free)
     if reason is not None:
         raise EstimationError(reason)
-    return fit_robust(rows, MODELS[model], priors)
+    return fit_robust(rows, free, priors)
 
 
 def too_much(rows: Observations, model: Model) -> str | None:

@@ -2,7 +2,8 @@ r"""How far rows miss the gaze plane, and what depth does when anything changes:
 
 The misclosure of a row whose depth z is known is :math:`F = (n \cdot p + e) / z - n \cdot r`, in
 the notation of `calib.geometry.plane`. F = 0 defines depth, so that depth's derivatives follow from
-those of F. Lengths in mm, angles in rad.
+those of F; for a target off C2's centre column n and e are those of its own plane there. Lengths in
+mm, angles in rad.
 """
 
 from __future__ import annotations
@@ -20,8 +21,9 @@ from calib.geometry.parameters import (
     EncoderTerm,
     GazeRoll,
     PlaneOffset,
+    Standoff,
 )
-from calib.geometry.plane import OBSERVABLE, Basis, Gaze, depth, frame, gaze_angle
+from calib.geometry.plane import OBSERVABLE, Axes, Gaze, Turn, depth, frame, gaze_angle, turn_planes
 
 
 @dataclass(frozen=True)
@@ -44,50 +46,86 @@ class Misclosure:
 
 
 @dataclass(frozen=True)
-class _Turned:
-    """Gaze planes at their angles: sine and cosine, shape (n,), of each."""
+class _Direction:
+    """Vectors of gazes as parts along three fixed ones: shape (n,), or numbers, each."""
 
     sine: FloatArray
     cosine: FloatArray
+    level: FloatArray | float
 
-    @classmethod
-    def at(cls, theta: FloatArray, gaze: Gaze) -> _Turned:
-        angle = gaze_angle(theta, gaze)
-        return cls(np.sin(angle), np.cos(angle))
-
-    def quarter_on(self) -> _Turned:
-        """Return the planes a quarter turn on: by it the normal changes per rad, w left out."""
-        return _Turned(self.cosine, -self.sine)
-
-    def along(self, basis: Basis, direction: FloatArray) -> FloatArray:
-        """Return the normals' component along a fixed vector, shape (n,)."""
-        u, v, w = basis
-        component: FloatArray = self.sine * (u @ direction)
-        component += self.cosine * (v @ direction)
-        component += w @ direction
+    def along(self, axes: Axes, direction: FloatArray) -> FloatArray:
+        """Return the component along a fixed vector, shape (n,)."""
+        x, z, y = axes
+        component: FloatArray = self.sine * (x @ direction)
+        component += self.cosine * (z @ direction)
+        component += self.level * (y @ direction)
         return component
 
-    def on_arm(self, basis: Basis, point: FloatArray, gaze: Gaze, z: FloatArray) -> FloatArray:
+    def on_arm(self, axes: Axes, point: FloatArray, gaze: Gaze, z: FloatArray) -> FloatArray:
         """Return n . (point / z - r), shape (n,)."""
-        product = self.along(basis, point)
+        product = self.along(axes, point)
         product /= z
-        product -= self.on_ray(basis, gaze)
+        product -= self.on_ray(axes, gaze)
         return product
 
-    def on_ray(self, basis: Basis, gaze: Gaze) -> FloatArray:
+    def on_ray(self, axes: Axes, gaze: Gaze) -> FloatArray:
         """Return n . r for the ray r = (x1c, y1c, 1) of each gaze, shape (n,)."""
         x, y, z = np.eye(3)
-        product = self.along(basis, z)
-        product += self.along(basis, x) * gaze.x1c
-        product += self.along(basis, y) * gaze.y1c
+        product = self.along(axes, z)
+        product += self.along(axes, x) * gaze.x1c
+        product += self.along(axes, y) * gaze.y1c
         return product
+
+
+@dataclass(frozen=True)
+class _Turned:
+    """The planes of gazes, and how their normals change.
+
+    Parameters
+    ----------
+    normal
+        Of the planes.
+    by_angle, by_residual, by_roll
+        Its derivatives, per rad; `by_residual` at constant gaze angle less residual.
+    turn
+        The distances from the axis.
+    """
+
+    normal: _Direction
+    by_angle: _Direction
+    by_residual: _Direction
+    by_roll: _Direction
+    turn: Turn
+
+    @classmethod
+    def at(cls, theta: FloatArray, gaze: Gaze, roll: FloatArray) -> _Turned:
+        angle, r = gaze_angle(theta, gaze), gaze.residual
+        turn = turn_planes(angle, r, roll)
+        sine, cosine = turn.sine, turn.cosine
+        by_angle = by_residual = _Direction(cosine, -sine, 0.0)
+        nought = np.zeros_like(sine)
+        by_roll = _Direction(nought, nought, turn.beside * np.cos(roll))
+        if roll != 0:
+            still = angle - r
+            sine_0, cosine_0 = np.sin(still), np.cos(still)
+            less = -turn.beside * np.sin(roll)
+            by_roll = _Direction(less * sine_0, less * cosine_0, turn.beside * np.cos(roll))
+            # d/dr of cos(r) cos(roll) sin(a) + sin(r) cos(a), and so on, at constant a.
+            tilted = turn.ahead * np.cos(roll)
+            by_residual = _Direction(
+                tilted * sine_0 + turn.beside * cosine_0,
+                tilted * cosine_0 - turn.beside * sine_0,
+                turn.ahead * np.sin(roll),
+            )
+        return cls(_Direction(sine, cosine, turn.level), by_angle, by_residual, by_roll, turn)
 
 
 def misclosure_value(theta: FloatArray, gaze: Gaze, z: FloatArray) -> FloatArray:
     """Return the value of `misclosure` alone, shape (n,): a fifth of its work."""
-    f, turned = frame(theta), _Turned.at(theta, gaze)
-    value = turned.on_arm(f.basis(), f.point, gaze, z)
-    value += f.offset / z
+    f = frame(theta)
+    turn = turn_planes(gaze_angle(theta, gaze), gaze.residual, f.roll)
+    value = _Direction(turn.sine, turn.cosine, turn.level).on_arm(f.axes, f.point, gaze, z)
+    value += turn.offset(f.offset, f.standoff) / z
     return value
 
 
@@ -104,11 +142,11 @@ def misclosure(
         Places in `PARAMETERS` to differentiate by, all of them by default; the columns of
         `by_theta` are in this order.
     """
-    f, turned = frame(theta), _Turned.at(theta, gaze)
-    basis, on = f.basis(), turned.quarter_on()
-    still = (basis[0], basis[1], np.zeros(3))
-    by_angle = on.on_arm(still, f.point, gaze, z)
-    numerator = turned.along(basis, f.point) + f.offset
+    f = frame(theta)
+    axes, turned = f.axes, _Turned.at(theta, gaze, f.roll)
+    normal, turn = turned.normal, turned.turn
+    by_angle = turned.by_angle.on_arm(axes, f.point, gaze, z)
+    numerator = normal.along(axes, f.point) + turn.offset(f.offset, f.standoff)
     wanted = range(len(PARAMETERS)) if parameters is None else parameters
     # Columns are contiguous: they are made, scaled and summed one by one.
     by_theta = np.empty((len(wanted), len(z))).T
@@ -117,25 +155,30 @@ def misclosure(
             case EncoderTerm(basis=term):
                 by_theta[:, column] = by_angle * term(gaze.alpha2)
             case AxisPoint(direction=direction):
-                by_theta[:, column] = turned.along(basis, np.array(direction, dtype=float)) / z
+                by_theta[:, column] = normal.along(axes, np.array(direction, dtype=float)) / z
             case PlaneOffset():
-                by_theta[:, column] = 1 / z
+                by_theta[:, column] = turn.beside / z
+            case Standoff():
+                by_theta[:, column] = turn.ahead / z
             case AxisTilt():
-                u, v, w = (f.generators[i] @ b for b in basis)
-                by_theta[:, column] = turned.on_arm((u, v, w), f.point, gaze, z)
+                x_, z_, y_ = (f.generators[i] @ b for b in axes)
+                by_theta[:, column] = normal.on_arm((x_, z_, y_), f.point, gaze, z)
             case GazeRoll():
-                by_theta[:, column] = turned.on_arm(f.basis_by_roll(), f.point, gaze, z)
+                by_theta[:, column] = turned.by_roll.on_arm(axes, f.point, gaze, z)
     x, y, _ = np.eye(3)
+    by_residual = turned.by_residual.on_arm(axes, f.point, gaze, z) if f.roll else by_angle
+    # d(e cos r - f sin r) / dr.
+    by_residual = by_residual + (f.offset * turn.ahead - f.standoff * turn.beside) / z
     by_observable = np.stack(
         [
-            -turned.along(basis, x),
-            -turned.along(basis, y),
+            -normal.along(axes, x),
+            -normal.along(axes, y),
             by_angle * _reading_slope(theta, gaze),
-            by_angle,
+            by_residual,
             -numerator / z**2,
         ]
     ).T
-    return Misclosure(numerator / z - turned.on_ray(basis, gaze), by_theta, by_observable)
+    return Misclosure(numerator / z - normal.on_ray(axes, gaze), by_theta, by_observable)
 
 
 def _reading_slope(theta: FloatArray, gaze: Gaze) -> FloatArray:

@@ -8,7 +8,7 @@ is one entry of `MODELS`.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 import numpy as np
@@ -40,6 +40,14 @@ class PlaneOffset:
 
 
 @dataclass(frozen=True)
+class Standoff:
+    """Moves C2's centre ahead of the yaw axis along its optical axis.
+
+    The plane of a target on C2's centre column stays where it is; that of a target off it shifts.
+    """
+
+
+@dataclass(frozen=True)
 class AxisTilt:
     """Turns the yaw axis about an axis of C1: 0 is X, 2 is Z. Applied as R = Rz Rx."""
 
@@ -51,7 +59,7 @@ class GazeRoll:
     """Rolls C2 about its optical axis."""
 
 
-Effect = EncoderTerm | AxisPoint | PlaneOffset | AxisTilt | GazeRoll
+Effect = EncoderTerm | AxisPoint | PlaneOffset | Standoff | AxisTilt | GazeRoll
 
 
 @dataclass(frozen=True)
@@ -109,12 +117,17 @@ PARAMETERS: tuple[Parameter, ...] = (
               EncoderTerm(np.cos, lambda a: -np.sin(a)), 0.1 * _DEG, 1e-3),
     Parameter("encoder_sin_rad", "ε_s", "rad", "once-per-turn error of the encoder, sine",
               EncoderTerm(np.sin, np.cos), 0.1 * _DEG, 1e-3),
+    Parameter("standoff_mm", "f", "mm", "C2's centre ahead of the yaw axis",
+              Standoff(), 40.0, 10.0),
 )
 # fmt: on
 
 NAMES: tuple[str, ...] = tuple(p.name for p in PARAMETERS)
 INDEX: Mapping[str, int] = MappingProxyType({name: i for i, name in enumerate(NAMES)})
 COUNT = len(PARAMETERS)
+
+STANDOFF = "standoff_mm"
+"""Free in every model where rows have a gaze residual, the angle at C2's centre; nowhere else."""
 
 
 @dataclass(frozen=True)
@@ -157,6 +170,12 @@ MODELS: Mapping[str, Model] = MappingProxyType(
         )
     }
 )
+
+
+def model_for(name: str, *, off_centre: bool) -> Model:
+    """Return a model of `MODELS`, with the standoff free if some targets are off C2's centre."""
+    model = MODELS[name]
+    return replace(model, free=(*model.free, STANDOFF)) if off_centre else model
 
 
 def vector(values: Mapping[str, float]) -> FloatArray:

@@ -9,6 +9,18 @@ Untilted it reads z (x1c + cot a) = L_b + Z_a cot a + e / sin a; with Z_a = e = 
 parent, eq. (6) of Xu and Wang (doi 10.1177/1729881417715984) with the cotangent that the geometry
 needs in place of the printed tangent.
 
+That is the plane of a target on C2's centre column. A target at the angle r beside it, as C2's
+image shows it, lies on the plane through C2's centre and image y axis that is turned by r: about
+C2's centre, which stands the standoff f ahead of the axis along the optical axis g. Its normal is
+cos(r) n - sin(r) g and its distance from the axis e cos(r) - f sin(r). With :math:`\rho` the roll
+of C2 and :math:`R_X, R_Y, R_Z` the turned axes, both are
+
+.. math:: (\cos r \cos\rho \sin\alpha + \sin r \cos\alpha) R_X
+          + (\cos r \cos\rho \cos\alpha - \sin r \sin\alpha) R_Z + \cos r \sin\rho\, R_Y,
+
+without roll simply :math:`n(\alpha + r)`. A pitch of C2 by p, which the model does not have, adds
+p r times the target's height in C2's image to the angle.
+
 Frame C1 throughout: X right, Y down, Z forward, origin at C1's optical centre; lengths in mm,
 angles in rad. The yaw axis has direction R Y with R = Rz(tilt_z) Rx(tilt_x) and crosses Y = 0 at p.
 """
@@ -30,6 +42,7 @@ from calib.geometry.parameters import (
     EncoderTerm,
     GazeRoll,
     PlaneOffset,
+    Standoff,
 )
 
 
@@ -44,7 +57,7 @@ class Gaze:
     alpha2
         Encoder readings, rad, shape (n,).
     residual
-        Angle from C2's centre column to the target, rad, shape (n,); it adds to the gaze angle.
+        Angle at C2's centre from its centre column to the target, rad, shape (n,).
     """
 
     x1c: FloatArray
@@ -70,7 +83,11 @@ OBSERVABLE = Observable()
 
 
 def gaze_angle(theta: FloatArray, gaze: Gaze) -> FloatArray:
-    """Return true gaze angles, rad, shape (..., n), for parameters of shape (..., COUNT)."""
+    """Return true gaze angles, rad, shape (..., n), for parameters of shape (..., COUNT).
+
+    With the gaze residual: the bearing of the target, seen from C2, in the plane square to an axis
+    parallel to C2's image y axis.
+    """
     angle: FloatArray = gaze.alpha2 + gaze.residual
     for i, parameter in enumerate(PARAMETERS):
         if isinstance(parameter.effect, EncoderTerm) and (theta.ndim > 1 or theta[i]):
@@ -109,10 +126,6 @@ def _rotation(axis: int, angle: FloatArray) -> FloatArray:
     return rotation
 
 
-Basis: TypeAlias = tuple[FloatArray, FloatArray, FloatArray]
-"""u, v, w, each (..., 3), of a normal sin(a) u + cos(a) v + w."""
-
-
 @dataclass(frozen=True)
 class Frame:
     """The parts of the turning plane that do not turn, for parameters of shape (..., COUNT).
@@ -129,7 +142,9 @@ class Frame:
     point
         Where the yaw axis crosses Y = 0, mm, shape (..., 3).
     offset
-        Signed distance from `point` to the plane, mm, shape (...).
+        Signed distance from `point` to the plane of targets on the centre column, mm, shape (...).
+    standoff
+        C2's centre ahead of the axis along its optical axis, mm, shape (...).
     """
 
     rotation: FloatArray
@@ -137,18 +152,23 @@ class Frame:
     roll: FloatArray
     point: FloatArray
     offset: FloatArray
+    standoff: FloatArray
 
-    def basis(self) -> Basis:
+    @property
+    def axes(self) -> Axes:
+        """The turned X, Z and Y, each (..., 3): what the parts of `Turn` multiply."""
+        r = self.rotation
+        return r[..., :, 0], r[..., :, 2], r[..., :, 1]
+
+    def basis(self) -> Axes:
         """Return u, v, w, each (..., 3): the normal at angle a is sin(a) u + cos(a) v + w."""
         cos, sin = np.cos(self.roll)[..., None], np.sin(self.roll)[..., None]
-        r = self.rotation
-        return cos * r[..., :, 0], cos * r[..., :, 2], sin * r[..., :, 1]
+        x, z, y = self.axes
+        return cos * x, cos * z, sin * y
 
-    def basis_by_roll(self) -> Basis:
-        """Return the derivatives of `basis` by the roll, per rad."""
-        cos, sin = np.cos(self.roll)[..., None], np.sin(self.roll)[..., None]
-        r = self.rotation
-        return -sin * r[..., :, 0], -sin * r[..., :, 2], cos * r[..., :, 1]
+
+Axes: TypeAlias = tuple[FloatArray, FloatArray, FloatArray]
+"""Three vectors, each (..., 3)."""
 
 
 def frame(theta: FloatArray) -> Frame:
@@ -156,13 +176,16 @@ def frame(theta: FloatArray) -> Frame:
     shape = theta.shape[:-1]
     rotation = np.broadcast_to(np.eye(3), (*shape, 3, 3))
     generators: dict[int, FloatArray] = {}
-    point, offset, roll = np.zeros((*shape, 3)), np.zeros(shape), np.zeros(shape)
+    point, roll = np.zeros((*shape, 3)), np.zeros(shape)
+    offset, standoff = np.zeros(shape), np.zeros(shape)
     for i, parameter in enumerate(PARAMETERS):
         match parameter.effect:
             case AxisPoint(direction=direction):
                 point = point + theta[..., i, None] * np.array(direction)
             case PlaneOffset():
                 offset = offset + theta[..., i]
+            case Standoff():
+                standoff = standoff + theta[..., i]
             case AxisTilt(about=axis):
                 if theta[..., i].any():
                     turn = _rotation(axis, theta[..., i])
@@ -173,13 +196,56 @@ def frame(theta: FloatArray) -> Frame:
                 generators[i] = _GENERATORS[axis]
             case GazeRoll():
                 roll = roll + theta[..., i]
-    return Frame(rotation, generators, roll, point, offset)
+    return Frame(rotation, generators, roll, point, offset, standoff)
 
 
-def _combine(basis: Basis, angle: FloatArray) -> FloatArray:
-    """Return sin(angle) u + cos(angle) v + w, shape (n, 3), for one basis or one each."""
-    u, v, w = basis
-    return np.sin(angle)[:, None] * u + np.cos(angle)[:, None] * v + w
+@dataclass(frozen=True)
+class Turn:
+    """Normals of the planes of gazes, as parts along `Frame.axes`, and their distances.
+
+    Parameters
+    ----------
+    sine, cosine, level
+        Parts along the turned X, Z and Y: shape (n,) each, `level` also a number.
+    beside, ahead
+        What eccentricity and standoff are multiplied with to give the distance from the axis:
+        cos(r) and -sin(r) of the gaze residual r, shape (n,), or 1 and 0 where all are 0.
+    """
+
+    sine: FloatArray
+    cosine: FloatArray
+    level: FloatArray | float
+    beside: FloatArray | float
+    ahead: FloatArray | float
+
+    def offset(self, eccentricity: FloatArray, standoff: FloatArray) -> FloatArray:
+        """Return the planes' distances from the axis, mm, shape (n,) or ()."""
+        distance: FloatArray = eccentricity * self.beside + standoff * self.ahead
+        return distance
+
+
+def turn_planes(angle: FloatArray, residual: FloatArray, roll: FloatArray) -> Turn:
+    """Return the planes at gaze angles, their residuals r in them, under a roll.
+
+    Parameters
+    ----------
+    angle, residual
+        As `gaze_angle` and `Gaze.residual`, rad, shape (n,).
+    roll
+        Roll of C2, rad, shape (n,) or ().
+    """
+    sine, cosine = np.sin(angle), np.cos(angle)
+    off_centre, rolled = bool(np.any(residual)), bool(np.any(roll))
+    cos_r = np.cos(residual) if off_centre else 1.0
+    sin_r = np.sin(residual) if off_centre else 0.0
+    if not rolled:
+        return Turn(sine, cosine, 0.0, cos_r, -sin_r)
+    cos_roll, level = np.cos(roll), np.sin(roll) * cos_r
+    if not off_centre:
+        return Turn(cos_roll * sine, cos_roll * cosine, level, cos_r, -sin_r)
+    still = angle - residual
+    less = (1 - cos_roll) * cos_r
+    return Turn(sine - less * np.sin(still), cosine - less * np.cos(still), level, cos_r, -sin_r)
 
 
 def _rays(gaze: Gaze) -> FloatArray:
@@ -200,12 +266,18 @@ def depth(theta: FloatArray, gaze: Gaze) -> FloatArray:
     depth is negative or infinite where the ray does not meet the plane in front of C1; callers
     decide what that means.
     """
+    if theta.ndim > 1:
+        return drawn_planes(theta).depth(gaze)
     f = frame(theta)
-    angle = gaze_angle(theta, gaze) if theta.ndim == 1 else _own_angles(theta, gaze)
-    n = _combine(f.basis(), angle)
+    turn = turn_planes(gaze_angle(theta, gaze), gaze.residual, f.roll)
+    x, z, y = f.axes
+    n = np.asarray(turn.sine)[:, None] * x + turn.cosine[:, None] * z
+    n = n + np.broadcast_to(turn.level, len(gaze))[:, None] * y
     with np.errstate(divide="ignore"):
-        z: FloatArray = (_dot(n, f.point) + f.offset) / _dot(n, _rays(gaze))
-    return z
+        found: FloatArray = (_dot(n, f.point) + turn.offset(f.offset, f.standoff)) / _dot(
+            n, _rays(gaze)
+        )
+    return found
 
 
 @dataclass(frozen=True)
@@ -216,15 +288,14 @@ class DrawnPlanes:
     ----------
     theta
         Shape (t, COUNT).
-    basis
-        As `Frame.basis`, shape (t, 3) each.
+    frame
+        Their frames.
     reach
-        For each of the basis, its product with the axis point; the last with the offset added, mm,
-        shape (t,) each.
+        For each of the axes, its product with the axis point, mm, shape (t,) each.
     """
 
     theta: FloatArray
-    basis: tuple[FloatArray, FloatArray, FloatArray]
+    frame: Frame
     reach: tuple[FloatArray, FloatArray, FloatArray]
 
     def depth(self, gaze: Gaze) -> FloatArray:
@@ -232,23 +303,24 @@ class DrawnPlanes:
 
         Of the t gazes each belongs to one vector; signs and infinities as there.
         """
-        angle = _own_angles(self.theta, gaze)
-        sin, cos = np.sin(angle), np.cos(angle)
+        f = self.frame
+        turn = turn_planes(_own_angles(self.theta, gaze), gaze.residual, f.roll)
         rays = _rays(gaze)
-        along = [_dot(b, rays) for b in self.basis]
-        numerator = sin * self.reach[0] + cos * self.reach[1] + self.reach[2]
+        along = [_dot(b, rays) for b in f.axes]
+        numerator = turn.sine * self.reach[0] + turn.cosine * self.reach[1]
+        numerator = numerator + (turn.level * self.reach[2] + turn.offset(f.offset, f.standoff))
         with np.errstate(divide="ignore"):
-            z: FloatArray = numerator / (sin * along[0] + cos * along[1] + along[2])
+            z: FloatArray = numerator / (
+                turn.sine * along[0] + turn.cosine * along[1] + turn.level * along[2]
+            )
         return z
 
 
 def drawn_planes(theta: FloatArray) -> DrawnPlanes:
     """Return the planes of parameter vectors, shape (t, COUNT)."""
     f = frame(theta)
-    u, v, w = f.basis()
-    return DrawnPlanes(
-        theta, (u, v, w), (_dot(u, f.point), _dot(v, f.point), _dot(w, f.point) + f.offset)
-    )
+    x, z, y = f.axes
+    return DrawnPlanes(theta, f, (_dot(x, f.point), _dot(z, f.point), _dot(y, f.point)))
 
 
 def _own_angles(thetas: FloatArray, gaze: Gaze) -> FloatArray:

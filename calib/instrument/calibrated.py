@@ -24,6 +24,7 @@ from calib.uncertainty.measurement import (
     ReadingSpread,
     SharedErrors,
     Spread,
+    with_standoff,
 )
 from calib.uncertainty.montecarlo import NORMAL_FACTOR
 from calib.uncertainty.predictive import (
@@ -270,11 +271,14 @@ def measure_validation(
     """Return what the instrument measures on the validation rows."""
     rows, source = validation.rows, validation.depth_of
     loadings = rows.shared[source, : OBSERVABLE.z] if rows.shared_names else None
-    used = rows.take(source)
+    used, rng = rows.take(source), np.random.default_rng(seed)
+    instrument = calibrated.instrument
+    if used.off_centre:
+        instrument = with_standoff(instrument, rng)
     prediction = predict_depths(
-        calibrated.instrument,
+        instrument,
         used.gaze,
-        np.random.default_rng(seed),
+        rng,
         loadings=loadings,
         progress=progress,
     )

@@ -20,6 +20,7 @@ from calib.dataset.tables import GazeTable, LengthTable
 from calib.geometry.plane import OBSERVABLE
 from calib.instrument.calibration_file import Measuring
 from calib.rows.from_table import observe
+from calib.uncertainty.measurement import with_standoff
 from calib.uncertainty.predictive import depth_sources, linear_positions
 
 TABLE_LIMIT_BYTES = 200_000_000
@@ -169,7 +170,10 @@ def measure(measuring: Measuring, table: GazeTable) -> Measured:
     loadings = rows.shared[:, : OBSERVABLE.z] if rows.shared_names else None
     # With u2 the motor's step is measured and no longer an error: rows differ.
     std = measuring.noise_factor * rows.std[:, : OBSERVABLE.z]
-    linear = linear_positions(measuring.instrument, rows.gaze, loadings, reading_std=std)
+    instrument = measuring.instrument
+    if rows.off_centre:
+        instrument = with_standoff(instrument)
+    linear = linear_positions(instrument, rows.gaze, loadings, reading_std=std)
     _refuse_unreachable(table, linear.position_mm[:, 2])
     place = {name: i for i, name in enumerate(table.ids)}
     depth_of = tuple(i if d is None else place[d] for i, d in enumerate(table.depth_row))
@@ -200,9 +204,7 @@ def measure(measuring: Measuring, table: GazeTable) -> Measured:
         by_depth_row=by_depth_row,
         by_row=by_row,
         depth_of=depth_of,
-        sources_mm={
-            name: part[source] for name, part in depth_sources(measuring.instrument, linear).items()
-        },
+        sources_mm={name: part[source] for name, part in depth_sources(instrument, linear).items()},
     )
 
 

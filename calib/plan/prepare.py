@@ -14,7 +14,7 @@ from calib.fit.information import row_information
 from calib.fit.priors import NormalKnowledge, Priors, measured_of, prior_of
 from calib.fit.robust import fit_robust, too_much
 from calib.fit.start import first_guess
-from calib.geometry.parameters import INDEX, MODELS, Model, embed
+from calib.geometry.parameters import INDEX, MODELS, Model, embed, model_for
 from calib.geometry.plane import OBSERVABLE
 from calib.plan.design import Knowledge, Noise, row_vectors
 from calib.plan.field import Field, field_of
@@ -78,7 +78,8 @@ def prepare(
         knowledge = _from_priors(MODELS[model], priors, prior_knowledge.baseline_mm)
         points = np.zeros((0, 3))
     else:
-        knowledge, more = _from_rows(MODELS[model], priors, rows)
+        learnt = model_for(model, off_centre=rows.off_centre)
+        knowledge, more = _from_rows(learnt, priors, rows)
         notes += more
         if rows.shared_names:
             notes += ("errors that all rows share, of intrinsics and stereo, come on top of u(z)",)

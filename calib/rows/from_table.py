@@ -21,6 +21,9 @@ from calib.geometry.plane import OBSERVABLE
 from calib.rows.common_errors import Shared
 from calib.rows.observations import Observations, depth_groups
 
+U_PITCH_RAD = float(np.deg2rad(1.0))
+"""C2 looks level within this, as its tilts and roll by their priors; no row tells its pitch."""
+
 U_PIXEL = 0.1
 """Standard uncertainty of a pixel coordinate that a table gives, px, where nothing better is known.
 
@@ -266,10 +269,20 @@ class _Source:
             slope = 1 / (1 + ray.xy[:, 0] ** 2)
             u = np.where(from_image, self.seen.u_c2_px, U_PIXEL)[rows]
             value[rows] = np.arctan(ray.xy[:, 0])
-            std[rows] = u * slope * np.sqrt((ray.by_pixel[:, 0] ** 2).sum(axis=1))
+            own = u * slope * np.sqrt((ray.by_pixel[:, 0] ** 2).sum(axis=1))
+            std[rows] = np.hypot(own, self._by_pitch(value)[rows])
             by_intrinsics = slope[:, None] * ray.by_intrinsics[:, 0]
             by_common[rows] = by_intrinsics @ self.shared.of_camera("c2", camera)
         return _Part(value, std, by_common)
+
+    def _by_pitch(self, residual: FloatArray) -> FloatArray:
+        """Return what an unknown pitch of C2 makes uncertain of gaze residuals, rad, shape (n,).
+
+        It turns the residual by the target's height in C2's image, which is about that in C1's.
+        """
+        height = np.nan_to_num(self.direction().value[:, 1])
+        u: FloatArray = U_PITCH_RAD * np.abs(residual * height)
+        return u
 
     def depth(self) -> _Part:
         """Return the reference depths, mm."""

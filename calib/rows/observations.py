@@ -98,6 +98,11 @@ class Observations:
         return len(self.z_group) > 0
 
     @property
+    def off_centre(self) -> bool:
+        """Whether C2's images show targets beside its centre column."""
+        return bool(np.any(self.gaze_residual_rad))
+
+    @property
     def gaze(self) -> Gaze:
         """The rows without their depths."""
         return Gaze(self.x1c, self.y1c, self.alpha2_rad, self.gaze_residual_rad)

@@ -2,9 +2,9 @@
 
 C2 turns rigidly about the yaw axis. Its image x axis is the normal n of the gaze plane of
 `calib.geometry.plane`; its centre stands at p + e n + h y + f g, where p is the point in which the
-axis crosses Y = 0 of C1, e the eccentricity, y and g C2's image y axis and optical axis, h and f a
-height and a forward offset. Height, forward offset and pitch leave the gaze plane where it is: the
-model has no parameter for them, but images show them.
+axis crosses Y = 0 of C1, e the eccentricity, y and g C2's image y axis and optical axis, h a height
+and f the standoff. Height and pitch leave the gaze plane where it is: the model has no parameter
+for them, but images show them.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 
 from calib.core.arrays import FloatArray
 from calib.geometry.camera import Camera
-from calib.geometry.parameters import INDEX, MODELS, PARAMETERS, vector
+from calib.geometry.parameters import INDEX, MODELS, PARAMETERS, STANDOFF, vector
 from calib.geometry.plane import Gaze, frame, gaze_angle
 
 BASELINE_RANGE_MM = (60.0, 400.0)
@@ -33,6 +33,9 @@ RESOLUTIONS_DEG = (0.05625, 0.036, 0.018, 0.009)
 
 YAW_RANGE_RAD = (float(np.deg2rad(40.0)), float(np.deg2rad(140.0)))
 """Readings that C2's cables and mount allow."""
+
+STANDOFF_RANGE_MM = (-20.0, 60.0)
+"""C2's centre behind or ahead of its yaw axis."""
 
 NEAR_BASELINES, FAR_BASELINES = 5.0, 12.0
 """Working depths in baselines; the paper's Table 1 spans 6.3 to 13."""
@@ -78,8 +81,8 @@ class Rig:
         The cameras.
     resolution_rad
         One count of the encoder or microstep of the motor, rad.
-    forward_mm, height_mm
-        C2's centre ahead of the axis along its optical axis, and down its image y axis, mm.
+    height_mm
+        C2's centre down its image y axis from the axis point, mm.
     pitch_rad
         Turn of C2 about its image x axis, rad, positive looking up.
     yaw_range_rad
@@ -93,7 +96,6 @@ class Rig:
     c1: Camera
     c2: Camera
     resolution_rad: float
-    forward_mm: float
     height_mm: float
     pitch_rad: float
     yaw_range_rad: tuple[float, float]
@@ -104,6 +106,11 @@ class Rig:
         """Depths at which such a rig works, mm: so many baselines."""
         baseline = float(self.theta[INDEX["baseline_mm"]])
         return NEAR_BASELINES * baseline, FAR_BASELINES * baseline
+
+    @property
+    def forward_mm(self) -> float:
+        """C2's centre ahead of the axis along its optical axis, mm."""
+        return float(self.theta[INDEX[STANDOFF]])
 
     @property
     def mount_mm(self) -> FloatArray:
@@ -178,7 +185,8 @@ def draw_rig(
 
     Free parameters of the model which have a default prior are drawn from it, so that rigs are
     what the posterior expects of them; the others are 0. The baseline is log-uniform over
-    `BASELINE_RANGE_MM`, the zero error normal.
+    `BASELINE_RANGE_MM`, the zero error normal, the standoff uniform over `STANDOFF_RANGE_MM`
+    whatever the model.
 
     Parameters
     ----------
@@ -197,19 +205,21 @@ def draw_rig(
     KeyError
         If the model or a fixed parameter is unknown.
     """
-    theta = vector(_draw_parameters(rng, model) | dict(fixed or {}))
+    drawn_parameters = _draw_parameters(rng, model)
     drawn = Noise(
         pixel_px=_log_uniform(rng, 0.03, 0.2),
         encoder_rad=2e-5,
         z_rel=_log_uniform(rng, 0.0005, 0.003),
     )
+    c1, c2 = (draw_camera(rng, image_size=image_size) for _ in range(2))
+    resolution = float(np.deg2rad(rng.choice(RESOLUTIONS_DEG)))
+    drawn_parameters[STANDOFF] = float(rng.uniform(*STANDOFF_RANGE_MM))
     return Rig(
         model=model,
-        theta=theta,
-        c1=draw_camera(rng, image_size=image_size),
-        c2=draw_camera(rng, image_size=image_size),
-        resolution_rad=float(np.deg2rad(rng.choice(RESOLUTIONS_DEG))),
-        forward_mm=float(rng.uniform(-20, 60)),
+        theta=vector(drawn_parameters | dict(fixed or {})),
+        c1=c1,
+        c2=c2,
+        resolution_rad=resolution,
         height_mm=float(rng.normal(0, 5)),
         pitch_rad=float(rng.normal(0, np.deg2rad(0.5))),
         yaw_range_rad=YAW_RANGE_RAD,
@@ -247,7 +257,7 @@ def _draw_parameters(rng: np.random.Generator, model: str) -> dict[str, float]:
     free = MODELS[model].free
     for parameter in PARAMETERS:
         # Drawn for every model alike: the same seed gives rigs that differ in nothing else.
-        if parameter.prior_std is not None:
+        if parameter.prior_std is not None and parameter.name != STANDOFF:
             value = float(rng.normal(0, parameter.prior_std))
             if parameter.name in free:
                 drawn[parameter.name] = value

@@ -8,14 +8,15 @@ the gaze residual; if not, it is the row's quantisation error.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from calib.core.arrays import BoolArray, FloatArray
 from calib.core.errors import UsageError
 from calib.geometry.camera import Camera
-from calib.geometry.plane import OBSERVABLE, Gaze, gaze_angle, gaze_at
+from calib.geometry.misclosure import misclosure
+from calib.geometry.plane import OBSERVABLE, Gaze, gaze_at
 from calib.rows.observations import Observations
 from calib.simulate.rig import Rig, c2_pose
 
@@ -27,6 +28,8 @@ OUTLIER_ANGLE = (0.005, 0.05)
 
 OUTLIER_DEPTH = (0.03, 0.3)
 """Relative size of a gross error of the reference depth: a slip of the ruler, a mistaken pair."""
+
+_NEWTON_STEPS = 5
 
 _BATCHES = 200
 """Draws before a scene counts as empty: they find a point of which one in a thousand is seen."""
@@ -176,9 +179,7 @@ def observe(
     stands = reading + noise.encoder_rad * rng.standard_normal(count)
     rays_c2 = rays_in_c2(rig, stands, points)
     still = np.zeros(count)
-    at_rest = Gaze(aimed.x1c, aimed.y1c, stands, still)
-    remainder = gaze_angle(rig.theta, aimed) - gaze_angle(rig.theta, at_rest)
-    true_gaze = Gaze(aimed.x1c, aimed.y1c, stands, remainder)
+    true_gaze = _seen_from(rig, replace(aimed, alpha2=stands), points[:, 2])
 
     std = row_std(rig, points[:, 2], residual_measured=residual_measured)
     shared, names = _shared_loadings(rig, points)
@@ -197,6 +198,18 @@ def observe(
         rays_c2=rays_c2,
         outliers=outliers,
     )
+
+
+def _seen_from(rig: Rig, gaze: Gaze, z_mm: FloatArray) -> Gaze:
+    """Return gazes with the residuals, at C2's centre, with which the model gives depths `z_mm`.
+
+    By Newton's method: an angle of some degrees at most, nearly linear in the misclosure.
+    """
+    for _ in range(_NEWTON_STEPS):
+        c = misclosure(rig.theta, gaze, z_mm, parameters=())
+        slope = c.by_observable[:, OBSERVABLE.residual]
+        gaze = replace(gaze, residual=gaze.residual - c.value / slope)
+    return gaze
 
 
 def row_std(rig: Rig, z_mm: FloatArray, *, residual_measured: bool) -> FloatArray:

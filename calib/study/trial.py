@@ -23,7 +23,7 @@ from calib.fit.priors import prior_of
 from calib.fit.robust import RobustFit, fit_model
 from calib.fit.start import first_guess
 from calib.geometry.misclosure import misclosure
-from calib.geometry.parameters import MODELS, Model
+from calib.geometry.parameters import Model
 from calib.instrument.calibrated import CalibratedInstrument, instrument_from_draws
 from calib.study.conditions import Condition
 from calib.study.depths import DRAWS, depth_record, model_depths
@@ -109,7 +109,7 @@ def _standing(sample: ImportanceSample, column: int, truth: float) -> tuple[floa
 
 def _parameters(bench: Bench, fit: RobustFit, sample: ImportanceSample) -> Record:
     """Return, by parameter of the true model: truth, bound, estimates, posterior."""
-    model = MODELS[fit.model]
+    model = fit.structure
     bound = cramer_rao(model, bench)
     ideal = _ideal(model, bench, bound)
     own, robust = np.sqrt(np.diag(fit.covariance)), fit.values

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from calib.core.arrays import FloatArray
-from calib.geometry.parameters import embed
+from calib.geometry.parameters import INDEX, PARAMETERS, STANDOFF, embed
 
 PARAMETERS_LABEL = "parameters"
 """Source of what rows and priors leave uncertain of the parameters, together."""
@@ -188,6 +188,57 @@ class Instrument:
             return rest
         least: FloatArray = safe * ((vectors * np.maximum(value, 0)) @ vectors.T)
         return least
+
+
+def with_standoff(instrument: Instrument, rng: np.random.Generator | None = None) -> Instrument:
+    """Return an instrument that may read targets off C2's centre column.
+
+    Calibrated by rows without gaze residual it does not know how far C2's centre stands ahead of
+    the yaw axis: the prior then does.
+
+    Parameters
+    ----------
+    rng
+        Draws from that prior, where the instrument has draws.
+
+    Raises
+    ------
+    ValueError
+        If there are draws and no `rng`.
+    """
+    p, shared = instrument.parameters, instrument.shared
+    if STANDOFF in p.names:
+        return instrument
+    size, std = len(p.names), PARAMETERS[INDEX[STANDOFF]].prior_std or 0.0
+    covariance = np.zeros((size + 1, size + 1))
+    covariance[:size, :size] = p.covariance
+    covariance[size, size] = std**2
+    drawn = None
+    if p.draws is not None:
+        if rng is None:
+            raise ValueError("an instrument with draws needs draws of the standoff")
+        drawn = std * rng.standard_normal((len(p.draws), 1))
+    parameters = replace(
+        p,
+        names=(*p.names, STANDOFF),
+        values=np.append(p.values, 0.0),
+        covariance=covariance,
+        evaluation=(*p.evaluation, "B"),
+        draws=_beside(p.draws, drawn),
+    )
+    if shared is not None:
+        unmoved = np.zeros((1, shared.with_parameters.shape[1]))
+        shared = replace(
+            shared,
+            with_parameters=np.concatenate([shared.with_parameters, unmoved]),
+            own_draws=_beside(shared.own_draws, drawn),
+        )
+    return Instrument(parameters, instrument.reading, shared)
+
+
+def _beside(draws: FloatArray | None, more: FloatArray | None) -> FloatArray | None:
+    """Return draws with those of one more parameter, shape (m, 1), beside them."""
+    return draws if draws is None or more is None else np.hstack([draws, more])
 
 
 @dataclass(frozen=True)

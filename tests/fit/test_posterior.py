@@ -19,7 +19,7 @@ from calib.fit.posterior import ENSEMBLES, Posterior, laplace, sample_posterior
 from calib.fit.priors import NOISE_SCALE, Measured, Priors, measured_of, prior_of
 from calib.fit.robust import RobustFit, fit_robust
 from calib.geometry.misclosure import misclosure
-from calib.geometry.parameters import MODELS, embed
+from calib.geometry.parameters import MODELS, embed, model_for
 
 
 @pytest.fixture(scope="module")
@@ -37,17 +37,22 @@ def posteriors(fits: dict[str, RobustFit]) -> dict[str, Posterior]:
     }
 
 
+@pytest.mark.parametrize("off_centre", [False, True])
 @pytest.mark.parametrize("name", list(MODELS))
-def test_log_posterior_is_the_sum_of_its_parts(name: str) -> None:
+def test_log_posterior_is_the_sum_of_its_parts(name: str, off_centre: bool) -> None:
     """Property: the matrix product equals row densities of `misclosure` plus priors."""
-    model, rng = MODELS[name], np.random.default_rng(0)
+    model, rng = model_for(name, off_centre=off_centre), np.random.default_rng(0)
     rows, theta = simulated(rng, count=17, axis_z_mm=-20.0)
+    if off_centre:
+        rows = replace(rows, gaze_residual_rad=rng.normal(0, 0.03, 17))
     measured = Measured(("eccentricity_mm",), np.array([2.0]), np.array([[0.5]]))
     priors = Priors({"axis_z_mm": (-10.0, 5.0), NOISE_SCALE: (0.2, 0.5)}, measured)
     target = log_posterior(rows, model, priors, theta, tails=CLEAN)
     x = np.array([theta[i] for i in (*model.indices, 0)]) + 0.0
     x[-1] = 0.1
     draws = x + 1e-3 * rng.standard_normal((5, len(x)))
+    if off_centre:
+        draws[:, -2] += 30 * rng.standard_normal(5)
     sigma = row_noise(theta, rows).sigma
     knowledge = prior_of(model, priors) + measured_of(model, priors)
     expected = []

@@ -28,7 +28,7 @@ points = st.builds(
 
 def general_rig() -> np.ndarray:
     """A rig on which every parameter is off neutral."""
-    values = (80, 0.02, -20, 3, 0.02, -0.03, 0.04, 0.01, 0.002, 0.003)
+    values = (80, 0.02, -20, 3, 0.02, -0.03, 0.04, 0.01, 0.002, 0.003, 45)
     return vector(dict(zip(NAMES, values, strict=True)))
 
 
@@ -61,11 +61,20 @@ def test_encoder_reading_inverts_gaze_angle(theta: np.ndarray, angle: float) -> 
 
 
 def test_untilted_closed_form() -> None:
-    """Published: z (x1c + cot a) = L_b + Z_a cot a + e / sin a."""
-    theta = vector({"baseline_mm": 90, "delta2_rad": 0.01, "axis_z_mm": -20, "eccentricity_mm": 4})
+    """Published: z (x1c + cot a) = L_b + Z_a cot a + e / sin a, e cos r - f sin r beside C2."""
+    theta = vector(
+        {
+            "baseline_mm": 90,
+            "delta2_rad": 0.01,
+            "axis_z_mm": -20,
+            "eccentricity_mm": 4,
+            "standoff_mm": 60,
+        }
+    )
     gaze, _ = some_gazes(theta)
-    a = gaze.alpha2 + gaze.residual + 0.01
-    expected = (90 - 20 / np.tan(a) + 4 / np.sin(a)) / (gaze.x1c + 1 / np.tan(a))
+    a, r = gaze.alpha2 + gaze.residual + 0.01, gaze.residual
+    offset = 4 * np.cos(r) - 60 * np.sin(r)
+    expected = (90 - 20 / np.tan(a) + offset / np.sin(a)) / (gaze.x1c + 1 / np.tan(a))
     np.testing.assert_allclose(depth(theta, gaze), expected, rtol=1e-13)
 
 
@@ -80,11 +89,11 @@ def test_base_is_the_papers_law_with_the_cotangent() -> None:
 
 
 def test_plane_of_the_general_model_from_first_principles() -> None:
-    """Simulated truth: build C2's pose with rotation matrices, intersect its centre plane."""
+    """Simulated truth: build C2's pose with rotation matrices, intersect the plane of a column."""
     theta = general_rig()
     values = dict(zip(NAMES, theta, strict=True))
     gaze, _ = some_gazes(theta)
-    angle = gaze_angle(theta, gaze)
+    angle = gaze_angle(theta, gaze) - gaze.residual
     tx, tz, rho = (values[n] for n in ("axis_tilt_x_rad", "axis_tilt_z_rad", "gaze_roll_rad"))
     rx = np.array([[1, 0, 0], [0, np.cos(tx), -np.sin(tx)], [0, np.sin(tx), np.cos(tx)]])
     rz = np.array([[np.cos(tz), -np.sin(tz), 0], [np.sin(tz), np.cos(tz), 0], [0, 0, 1]])
@@ -92,9 +101,11 @@ def test_plane_of_the_general_model_from_first_principles() -> None:
         axes = np.array([[np.sin(a), 0, np.cos(a)], [0, 1, 0], [-np.cos(a), 0, np.sin(a)]]).T
         turn = np.array([[np.cos(rho), -np.sin(rho), 0], [np.sin(rho), np.cos(rho), 0], [0, 0, 1]])
         pose = rz @ rx @ axes @ turn
-        normal = pose[:, 0]
         axis_point = np.array([values["baseline_mm"], 0, values["axis_z_mm"]])
-        on_plane = axis_point + values["eccentricity_mm"] * normal
+        mount = np.array([values["eccentricity_mm"], 7.0, values["standoff_mm"]])
+        on_plane = axis_point + pose @ mount
+        column = pose @ np.array([np.tan(gaze.residual[i]), 0.3, 1.0])
+        normal = np.cross(pose[:, 1], column)
         ray = np.array([gaze.x1c[i], gaze.y1c[i], 1])
         z = (normal @ on_plane) / (normal @ ray)
         one = Gaze(*(q[i : i + 1] for q in (gaze.x1c, gaze.y1c, gaze.alpha2, gaze.residual)))
@@ -132,6 +143,17 @@ def test_jacobian_by_observable(column: int) -> None:
 
     found = misclosure(theta, gaze, z).by_observable[:, column]
     np.testing.assert_allclose(found, (value(1) - value(-1)) / (2 * h), rtol=0, atol=1e-8)
+
+
+def test_planes_of_many_vectors_are_those_of_each() -> None:
+    """Property: one vector a gaze gives what each gives alone, residuals and roll included."""
+    rng = np.random.default_rng(2)
+    gaze, _ = some_gazes(general_rig())
+    thetas = general_rig() * rng.uniform(0.9, 1.1, (len(gaze), COUNT))
+    together = depth(thetas, gaze)
+    for i, theta in enumerate(thetas):
+        one = Gaze(*(q[i : i + 1] for q in (gaze.x1c, gaze.y1c, gaze.alpha2, gaze.residual)))
+        assert together[i] == pytest.approx(depth(theta, one)[0], rel=1e-13)
 
 
 def test_gaze_at_refuses_points_at_the_axis() -> None:

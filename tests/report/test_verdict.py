@@ -11,7 +11,6 @@ from report_examples import paper
 
 from calib.checks.verdict import all_gates, disagreements, gaze_gates, gaze_warnings
 from calib.fit.identifiability import Identifiability
-from calib.geometry.plane import OBSERVABLE
 from calib.results.calibration import GazeResult
 
 
@@ -51,27 +50,6 @@ def test_what_is_left_to_the_prior_is_said_once() -> None:
     assert len(warned(replace(told, combinations=closed))) == 2
     twice = replace(told, combinations=tuple(replace(c, **vars(told.open[0])) for c in closed))
     assert len(warned(twice)) == 1
-
-
-def test_targets_off_the_centre_column_are_named() -> None:
-    found = gaze()
-    assert not [text for text in gaze_warnings(found) if "centre column" in text]
-    off = np.zeros(len(found.rows))
-    off[2], off[4] = np.deg2rad([-2.0, 0.6])
-    seen = replace(found, rows=replace(found.rows, gaze_residual_rad=off))
-    (text,) = (text for text in gaze_warnings(seen) if "centre column" in text)
-    assert text.startswith(f"in 2 of {len(off)} rows")
-    assert f"2.00 deg in {found.rows.ids[2]}" in text
-
-
-def test_sharp_rows_are_held_to_a_tighter_gaze() -> None:
-    """30 mm before the axis, a residual of 2 mrad is wrong by 0.1 mrad at 600 mm."""
-    rows = replace(gaze().rows, z_mm=np.full(6, 600.0), gaze_residual_rad=np.full(6, 2e-3))
-    for noise, remarks in ((0.01e-3, 1), (0.1e-3, 0)):
-        std = np.zeros_like(rows.std)
-        std[:, OBSERVABLE.residual] = noise
-        found = gaze_warnings(replace(gaze(), rows=replace(rows, std=std)))
-        assert sum("6 of 6 rows the target is off C2's centre" in text for text in found) == remarks
 
 
 def test_a_reading_that_tells_nothing_of_depth_fails() -> None:

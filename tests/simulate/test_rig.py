@@ -34,8 +34,8 @@ def rig_with_everything(seed: int) -> Rig:
 
 def plain_rig(**fixed: float) -> Rig:
     rig = draw_rig(np.random.default_rng(0), model="base")
-    theta = vector({"baseline_mm": 100.0} | fixed)
-    return replace(rig, theta=theta, forward_mm=20.0, height_mm=3.0, pitch_rad=0.0)
+    theta = vector({"baseline_mm": 100.0, "standoff_mm": 20.0} | fixed)
+    return replace(rig, theta=theta, height_mm=3.0, pitch_rad=0.0)
 
 
 @pytest.mark.parametrize("seed", range(20))

@@ -1,14 +1,16 @@
 """Stage: the yaw sweep, C2 turned through known angles before a board at rest.
 
 Its images give the yaw axis in C2's frame and the encoder's errors, by bundle adjustment. From the
-axis follow two parameters of the turning plane (`calib.geometry.plane`). The gaze plane is plane
+axis follow three parameters of the turning plane (`calib.geometry.plane`). The gaze plane is plane
 x = 0 of C2's frame; it has the normal n = (1, 0, 0) and holds C2's centre, the origin. It reads
 n . P = n . p + e with p the point in which the axis crosses the plane Y = 0 of C1, hence
 
     e = -n . p = -(f_x + h d_x),      sin(roll) = n . d = d_x,
 
-d being the direction of the axis, f its foot and h the way along the axis from the foot to p. Only
-a rolled C2 makes e depend on h, which 1T2 tells: 10 mm at 1 degree are 0.17 mm.
+d being the direction of the axis, f its foot and h the way along the axis from the foot to p. C2's
+centre stands ahead of p by -(f_z + h d_z) along its optical axis, the standoff. Only a rolled C2
+makes e depend on h, and only a pitched one the standoff; 1T2 tells h: 10 mm at 1 degree are
+0.17 mm.
 """
 
 from __future__ import annotations
@@ -22,6 +24,7 @@ from calib.core.arrays import FloatArray
 from calib.core.gate import Gate
 from calib.geometry.board import Board, Corners
 from calib.geometry.camera import Camera
+from calib.geometry.parameters import STANDOFF
 from calib.geometry.poses import rotation
 from calib.images.bundle import finite
 from calib.images.checks import fit_gate, gate
@@ -53,6 +56,7 @@ NAMES: tuple[str, ...] = (
     "eccentricity_mm",
     "gaze_roll_rad",
     *(parameter.name for parameter, _ in ENCODER),
+    STANDOFF,
 )
 """Parameters of the turning plane that a sweep can measure."""
 
@@ -178,7 +182,7 @@ def yaw_sweep(
     mean, covariance_all = _parameters(x, spread, *height)
     std = np.sqrt(np.diag(covariance_all))
     e, roll, scale = (NAMES.index(name) for name in _REPORTED)
-    shown = [True, True, *(not np.isfinite(prior) for _, prior in problem.encoder_prior)]
+    shown = [True, True, *(not np.isfinite(prior) for _, prior in problem.encoder_prior), True]
     kept = np.flatnonzero(shown)
     residuals = residuals_of(problem, x)
     errors = np.zeros(len(residuals))
@@ -223,15 +227,23 @@ def _parameters(
     height_mm, height_std_mm
         From the axis' foot along the axis to C1's plane Y = 0.
     """
-    dx, fx = float(x[0]), float(x[2])
-    mean = np.concatenate([[-(fx + height_mm * dx), np.arcsin(dx)], x[AXIS : len(spread)]])
+    dx, dz, fx, fz = (float(v) for v in x[:AXIS])
+    mean = np.concatenate(
+        [
+            [-(fx + height_mm * dx), np.arcsin(dx)],
+            x[AXIS : len(spread)],
+            [-(fz + height_mm * dz)],
+        ]
+    )
     jacobian = np.zeros((len(mean), len(spread)))
     jacobian[0, [0, 2]] = -height_mm, -1.0
     jacobian[1, 0] = 1 / np.sqrt(1 - dx**2)
-    jacobian[2:, AXIS:] = np.eye(len(ENCODER))
+    jacobian[2:-1, AXIS:] = np.eye(len(ENCODER))
+    jacobian[-1, [1, 3]] = -height_mm, -1.0
     covariance = jacobian @ spread @ jacobian.T
-    covariance[0, 0] += (dx * height_std_mm) ** 2
-    return mean, covariance
+    by_height = np.zeros(len(mean))
+    by_height[[0, -1]] = -dx * height_std_mm, -dz * height_std_mm
+    return mean, covariance + np.outer(by_height, by_height)
 
 
 def _height(axis: Axis, pose_12: FloatArray | None) -> tuple[float, float]:

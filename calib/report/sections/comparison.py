@@ -8,7 +8,6 @@ from markupsafe import Markup
 
 from calib.fit.compare import CLEARLY, NOTICEABLY, ModelScore
 from calib.fit.importance import K_HAT_LIMIT
-from calib.geometry.parameters import MODELS
 from calib.report.blocks import EMPTY, Block, Cell, Items, Paragraph, Section, number, table, words
 from calib.report.context import ReportContext
 from calib.report.numbers import decimals, percent, signed
@@ -35,7 +34,11 @@ def comparison(c: Calibration, _: ReportContext) -> Section | None:
     if c.gaze is None or c.gaze.comparison is None:
         return None
     found = c.gaze.comparison
-    rows = [_row(score, chosen=score.model == found.selected) for score in found.scores]
+    fits = c.gaze.robust
+    rows = [
+        _row(score, free=len(fits[score.model].names), chosen=score.model == found.selected)
+        for score in found.scores
+    ]
     blocks: list[Block] = [
         Paragraph(
             Markup(
@@ -82,11 +85,10 @@ def _refitted(scores: Sequence[ModelScore]) -> str:
 MOST_NAMED = 10
 
 
-def _row(s: ModelScore, *, chosen: bool) -> tuple[Cell, ...]:
-    free = MODELS[s.model].free
+def _row(s: ModelScore, *, free: int, chosen: bool) -> tuple[Cell, ...]:
     return (
         words(s.model, mark="good" if chosen else ""),
-        number(str(len(free)), len(free)),
+        number(str(free), free),
         number(f"{signed(fixed(s.loo, 1))} ± {fixed(s.loo_se, 1)}", s.loo),
         decimals(s.weight, 2),
         decimals(s.averaging_weight, 2),

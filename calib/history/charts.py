@@ -1,6 +1,11 @@
 """Control charts of one quantity of a rig, standardised by its stated uncertainty.
 
-The reference is the weighted mean of the calibrations at acceptance and is frozen there; limits
+The reference is the weighted mean of the calibrations at acceptance. Single deviations (Shewhart)
+are from it, frozen. Its error is common to all of them: EWMA and CUSUM, which add deviations up,
+would take it for a step and call one sound rig in eight out of control within ten calibrations
+(five at acceptance, simulated), so that they add up recursive residuals instead, which are
+independent whatever the reference's error (Quesenberry 1991, doi:10.1080/00224065.1991.11979327).
+A small step after few calibrations at acceptance cannot be distinguished from that error. Limits
 come from the stated uncertainties, not from the scatter of a few calibrations, which at the length
 of such histories would call one sound rig in four out of control. Whether the stated
 uncertainties may carry the limits is a test of its own: `scatter_test`.
@@ -83,6 +88,23 @@ def standardised(values: FloatArray, std: FloatArray, at: Reference) -> FloatArr
     return z
 
 
+def recursive_residuals(values: FloatArray, std: FloatArray, at: Reference) -> FloatArray:
+    """Return deviations from the mean of all before, in units of their uncertainty, shape (n,).
+
+    Independent and standard normal for a rig that has not changed: Quesenberry (1991), case of
+    known variance and unknown mean, here with a variance of each value's own.
+    """
+    mean, variance = at.value, at.std**2
+    found = np.empty(len(values))
+    for i, (value, u) in enumerate(zip(values, std, strict=True)):
+        total = variance + u**2
+        found[i] = (value - mean) / np.sqrt(total)
+        gain = variance / total
+        mean += gain * (value - mean)
+        variance *= 1 - gain
+    return found
+
+
 def shewhart(z: FloatArray) -> Chart:
     """Return the chart of single deviations, which sees large steps."""
     return Chart("Shewhart", z, SHEWHART_LIMIT)
@@ -112,9 +134,10 @@ def cusum(z: FloatArray) -> Chart:
     return Chart("CUSUM", found, CUSUM_LIMIT)
 
 
-def charts(z: FloatArray) -> tuple[Chart, Chart, Chart]:
-    """Return the three charts of the standardised deviations after acceptance, in time order."""
-    return shewhart(z), ewma(z), cusum(z)
+def charts(values: FloatArray, std: FloatArray, at: Reference) -> tuple[Chart, Chart, Chart]:
+    """Return the three charts of the calibrations after acceptance, in time order."""
+    independent = recursive_residuals(values, std, at)
+    return shewhart(standardised(values, std, at)), ewma(independent), cusum(independent)
 
 
 def scatter_test(values: FloatArray, std: FloatArray) -> tuple[float, float]:

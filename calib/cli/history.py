@@ -27,6 +27,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     _index(add)
     add.set_defaults(run=_run_show)
 
+    add = commands.add_parser("chart", help="one rig's control charts as SVG")
+    add.add_argument("rig", metavar="RIG", help="serial number")
+    add.add_argument("--out", type=Path, required=True, metavar="SVG", help="file to write")
+    add.add_argument(
+        "--accepted", type=_positive, metavar="N",
+        help="calibrations that make the reference; default: 3",
+    )  # fmt: skip
+    _index(add)
+    add.set_defaults(run=_run_chart)
+
     add = commands.add_parser("due", help="when a rig is due for its next calibration")
     add.add_argument("rig", metavar="RIG", help="serial number")
     add.add_argument(
@@ -110,6 +120,27 @@ def _run_show(arguments: argparse.Namespace) -> int:
     sys.stdout.write(text([(title, show(entries, accepted=accepted))]))
     for note in notes(entries, accepted=accepted):
         print(f"note: {note}")
+    return 0
+
+
+def _run_chart(arguments: argparse.Namespace) -> int:
+    from calib.core.errors import InputError
+    from calib.history.figure import chart_figure
+    from calib.history.index import history
+    from calib.history.summary import ACCEPTED
+    from calib.report.plotting import svg
+    from calib.stages.store import write_bytes
+
+    accepted = arguments.accepted or ACCEPTED
+    entries = history(arguments.index, arguments.rig)
+    if len(entries) <= accepted:
+        raise InputError.single(
+            where=arguments.rig,
+            what=f"has {len(entries)} calibrations, of which {accepted} make the reference",
+            remedy="calibrate it again, or give a smaller --accepted",
+        )
+    write_bytes(arguments.out, svg(chart_figure(entries, accepted=accepted)))
+    print(f"{arguments.out}: written")
     return 0
 
 

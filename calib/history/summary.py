@@ -77,7 +77,7 @@ def due(
         for s in series(list(by_day.values()))
         if s.name.startswith("depth")
     ]
-    first, where = min(found, key=lambda pair: pair[0].interval)
+    first, where = min(found, key=lambda pair: (pair[0].interval, -(pair[0].risk or 0)))
     # Whole days, rounded down: the date is not to be later than what was computed.
     return _day(list(by_day)[-1]) + timedelta(days=int(first.interval)), first, where
 

@@ -182,6 +182,14 @@ def test_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert "R001" in capsys.readouterr().out
     assert main(["history", "show", "R001", *index]) == 0
     assert "depth at 1000 mm" in capsys.readouterr().out
+    chart = tmp_path / "chart.svg"
+    assert main(["history", "chart", "R001", "--out", str(chart), *index]) == 0
+    first = chart.read_bytes()
+    assert first.startswith(b"<svg")
+    assert main(["history", "chart", "R001", "--out", str(chart), *index]) == 0
+    assert chart.read_bytes() == first
+    assert main(["history", "chart", "R001", "--out", str(chart), "--accepted", "5", *index]) == 2
+    capsys.readouterr()
     assert main(["history", "due", "R001", "--tolerance", "40", *index]) == 0
     assert "ILAC-G24:2022" in capsys.readouterr().out
     assert main(["history", "due", "R7", "--tolerance", "40", *index]) == 2

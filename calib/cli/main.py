@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 from calib import __version__
 from calib.cli import compare as compare_command
+from calib.cli import history as history_command
 from calib.cli import plan as plan_command
 from calib.cli import study as study_command
 from calib.core.errors import CalibError, UsageError
@@ -100,6 +101,9 @@ def _parser() -> argparse.ArgumentParser:
     add = commands.add_parser("compare", help="runs of one rig side by side: what has changed")
     compare_command.add_arguments(add)
     add.set_defaults(run=compare_command.run)
+
+    add = commands.add_parser("history", help="many rigs over years: charts and due dates")
+    history_command.add_arguments(add)
 
     add = commands.add_parser("plan", help="where to put the next targets")
     plan_command.add_arguments(add)

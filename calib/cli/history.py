@@ -1,0 +1,168 @@
+"""`calib history`: the calibrations of many rigs over time."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+from datetime import date
+from pathlib import Path
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's own commands."""
+    commands = parser.add_subparsers(dest="history_command", required=True, metavar="COMMAND")
+
+    add = commands.add_parser("index", help="index the calibrations in folders, by rig")
+    add.add_argument("folders", type=Path, nargs="+", metavar="DIR")
+    _index(add)
+    add.set_defaults(run=_run_index)
+
+    add = commands.add_parser("show", help="all rigs, or one rig's control charts as text")
+    add.add_argument("rig", nargs="?", metavar="RIG", help="serial number; default: list the rigs")
+    add.add_argument(
+        "--accepted", type=_positive, metavar="N",
+        help="calibrations that make the reference; default: 3",
+    )  # fmt: skip
+    _index(add)
+    add.set_defaults(run=_run_show)
+
+    add = commands.add_parser("chart", help="one rig's control charts as SVG")
+    add.add_argument("rig", metavar="RIG", help="serial number")
+    add.add_argument("--out", type=Path, required=True, metavar="SVG", help="file to write")
+    add.add_argument(
+        "--accepted", type=_positive, metavar="N",
+        help="calibrations that make the reference; default: 3",
+    )  # fmt: skip
+    _index(add)
+    add.set_defaults(run=_run_chart)
+
+    add = commands.add_parser("due", help="when a rig is due for its next calibration")
+    add.add_argument("rig", metavar="RIG", help="serial number")
+    add.add_argument(
+        "--tolerance", type=_millimetres, required=True, metavar="MM",
+        help="largest tolerated error of a depth by drift, over the calibrated range",
+    )  # fmt: skip
+    add.add_argument(
+        "--repaired", type=_date, metavar="DATE",
+        help="of the last repair or adjustment; calibrations before it do not count",
+    )  # fmt: skip
+    _index(add)
+    add.set_defaults(run=_run_due)
+
+
+def _index(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--index", type=Path, default=Path("history.sqlite"), metavar="FILE",
+        help="default: history.sqlite",
+    )  # fmt: skip
+
+
+def _positive(text: str) -> int:
+    if not (text.isascii() and text.isdigit() and 0 < int(text) < 10**6):
+        raise argparse.ArgumentTypeError(f"{text!r}: give a whole number from 1")
+    return int(text)
+
+
+def _millimetres(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not 0 < value < math.inf:
+        raise argparse.ArgumentTypeError(f"{text!r}: give a length in mm above 0")
+    return value
+
+
+def _date(text: str) -> date:
+    try:
+        return date.fromisoformat(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r}: write it as 2026-01-31") from None
+
+
+SHOWN = 10
+"""Paths of a kind that are named; a fleet that was moved would fill the screen."""
+
+
+def _run_index(arguments: argparse.Namespace) -> int:
+    from calib.history.index import update
+
+    found = update(arguments.index, arguments.folders)
+    kinds = {
+        "added": found.added,
+        "changed": found.changed,
+        "deleted": found.deleted,
+        "moved": tuple(f"{old} to {new}" for old, new in found.moved),
+        "cannot be read": tuple(f"{path}: {why}" for path, why in found.unreadable),
+    }
+    for kind, paths in kinds.items():
+        for path in paths[:SHOWN]:
+            print(f"  {kind}: {path}")
+        if len(paths) > SHOWN:
+            print(f"  {kind}: and {len(paths) - SHOWN} more")
+    print(f"{arguments.index}: {found.calibrations} calibrations found")
+    return 0
+
+
+def _run_show(arguments: argparse.Namespace) -> int:
+    from calib.history.index import history, rigs
+    from calib.history.output import text
+    from calib.history.summary import ACCEPTED, notes, show
+
+    if arguments.rig is None:
+        rows = [[rig, str(number), last] for rig, number, last in rigs(arguments.index)]
+        sys.stdout.write(text([("Rigs", [["rig", "calibrations", "last"], *rows])]))
+        return 0
+    accepted = arguments.accepted or ACCEPTED
+    entries = history(arguments.index, arguments.rig)
+    title = f"{arguments.rig}: {len(entries)} calibrations, {entries[0].date} to {entries[-1].date}"
+    sys.stdout.write(text([(title, show(entries, accepted=accepted))]))
+    for note in notes(entries, accepted=accepted):
+        print(f"note: {note}")
+    return 0
+
+
+def _run_chart(arguments: argparse.Namespace) -> int:
+    from calib.core.errors import InputError
+    from calib.history.figure import chart_figure
+    from calib.history.index import history
+    from calib.history.summary import ACCEPTED
+    from calib.report.plotting import svg
+    from calib.stages.store import write_bytes
+
+    accepted = arguments.accepted or ACCEPTED
+    entries = history(arguments.index, arguments.rig)
+    if len(entries) <= accepted:
+        raise InputError.single(
+            where=arguments.rig,
+            what=f"has {len(entries)} calibrations, of which {accepted} make the reference",
+            remedy="calibrate it again, or give a smaller --accepted",
+        )
+    write_bytes(arguments.out, svg(chart_figure(entries, accepted=accepted)))
+    print(f"{arguments.out}: written")
+    return 0
+
+
+def _run_due(arguments: argparse.Namespace) -> int:
+    from calib.core.errors import InputError
+    from calib.history.due import LONGEST
+    from calib.history.index import history
+    from calib.history.summary import due
+
+    entries = history(arguments.index, arguments.rig)
+    found = due(entries, tolerance_mm=arguments.tolerance, repaired=arguments.repaired)
+    if found is None:
+        raise InputError.single(
+            where=arguments.rig,
+            what="has fewer than two calibrations on different days, so no interval",
+            remedy="calibrate it again after an interval of your choice",
+        )
+    day, result, where = found
+    print(f"{arguments.rig}: due on {day}, decided by the {where.name}")
+    print(f"ILAC-G24:2022 / OIML D 10, {result.method}")
+    if result.risk is not None:
+        print(f"probability of being out of tolerance then: {100 * result.risk:.1f} %")
+    if result.capped:
+        print(f"capped at {LONGEST} times the last interval")
+    return 0

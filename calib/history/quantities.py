@@ -1,0 +1,89 @@
+"""What is charted of a rig: quantities that the rows identify, one series each.
+
+L_b and e by themselves are left out, as the prior decides how their sum is shared. A depth is what
+the calibration makes of one fixed reading, that of a target straight ahead of C1 at the distance
+under the first calibration; so it moves with the parameters alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.core.arrays import FloatArray
+from calib.geometry.misclosure import depth_jacobian
+from calib.geometry.parameters import INDEX, vector
+from calib.geometry.plane import gaze_at
+from calib.history.index import Entry
+
+DISTANCES = 3
+"""Depths charted: the ends and the middle of what the first calibration covers."""
+
+
+@dataclass(frozen=True)
+class Series:
+    """One quantity of one rig over time.
+
+    Parameters
+    ----------
+    name, unit
+        As printed.
+    dates
+        ISO 8601, shape (n,).
+    values, std
+        With standard uncertainties, shape (n,).
+    """
+
+    name: str
+    unit: str
+    dates: tuple[str, ...]
+    values: FloatArray
+    std: FloatArray
+
+
+def series(entries: Sequence[Entry]) -> tuple[Series, ...]:
+    """Return the charted quantities of a rig's calibrations, in time order.
+
+    Under another model delta2 and axis_z mean something else: theirs are only of calibrations
+    with the model of the first.
+    """
+    alike = [e for e in entries if e.model == entries[0].model]
+    found = [_linear(entries, "effective baseline", "mm", ("baseline_mm", "eccentricity_mm"))]
+    for name, unit in (("delta2_rad", "rad"), ("axis_z_mm", "mm")):
+        if name in entries[0].names:
+            found.append(_linear(alike, name.rpartition("_")[0], unit, (name,)))
+    return (*found, *_depths(entries))
+
+
+def _linear(entries: Sequence[Entry], name: str, unit: str, of: tuple[str, ...]) -> Series:
+    values, std = [], []
+    for e in entries:
+        pick = np.array([float(n in of) for n in e.names])
+        values.append(float(pick @ e.values))
+        std.append(float(np.sqrt(pick @ e.covariance @ pick)))
+    return Series(name, unit, _dates(entries), np.array(values), np.array(std))
+
+
+def _depths(entries: Sequence[Entry]) -> list[Series]:
+    z = np.linspace(*entries[0].range_mm, DISTANCES)
+    gaze = gaze_at(_theta(entries[0]), np.column_stack([np.zeros((DISTANCES, 2)), z]))
+    values, std = np.empty((len(entries), DISTANCES)), np.empty((len(entries), DISTANCES))
+    for i, e in enumerate(entries):
+        jacobian = depth_jacobian(_theta(e), gaze)
+        slope = jacobian.by_theta[:, [INDEX[n] for n in e.names]]
+        values[i] = jacobian.z
+        std[i] = np.sqrt(np.einsum("ni,ij,nj->n", slope, e.covariance, slope))
+    return [
+        Series(f"depth at {at:.0f} mm", "mm", _dates(entries), values[:, k], std[:, k])
+        for k, at in enumerate(z)
+    ]
+
+
+def _theta(e: Entry) -> FloatArray:
+    return vector(dict(zip(e.names, e.values.tolist(), strict=True)))
+
+
+def _dates(entries: Sequence[Entry]) -> tuple[str, ...]:
+    return tuple(e.date for e in entries)

@@ -1,0 +1,86 @@
+"""A rig's history as text: its charts, the test of its uncertainties, its next calibration."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import date, timedelta
+
+import numpy as np
+
+from calib.history.charts import UNCERTAINTY_RISK, charts, reference, scatter_test
+from calib.history.due import Due, next_due
+from calib.history.index import Entry
+from calib.history.quantities import Series, series
+
+ACCEPTED = 3
+"""Calibrations at acceptance: their weighted mean is the reference. With fewer its error hides
+what the charts look for; with more a rig calibrated yearly has no chart for years."""
+
+
+def show(entries: Sequence[Entry], *, accepted: int = ACCEPTED) -> list[list[str]]:
+    """Return a table, its head first: each quantity with its charts' state and its scatter."""
+    rows = [["quantity", "reference", "last", "u", "Shewhart", "EWMA", "CUSUM", "chi2/dof", ""]]
+    return rows + [_line(s, accepted) for s in series(entries)]
+
+
+def _line(s: Series, accepted: int) -> list[str]:
+    at = reference(s.values[:accepted], s.std[:accepted])
+    figures = [f"{s.name}, {s.unit}", f"{at.value:.6g}", f"{s.values[-1]:.6g}", f"{s.std[-1]:.2g}"]
+    if len(s.values) <= accepted:
+        states = ["-"] * 3
+    else:
+        found = charts(s.values[accepted:], s.std[accepted:], at)
+        states = [
+            f"{chart.statistic[-1]:+.1f}"
+            if chart.first_alarm is None
+            else f"ALARM {s.dates[accepted + chart.first_alarm]}"
+            for chart in found
+        ]
+    if len(s.values) < 2:
+        return [*figures, *states, "-", ""]
+    ratio, p = scatter_test(s.values, s.std)
+    note = ""
+    if p < UNCERTAINTY_RISK:
+        note = f"scatter exceeds stated u (p = {p:.1g}): u too small, or the rig has changed"
+    elif p > 1 - UNCERTAINTY_RISK:
+        note = "scatter below stated u: part of u is common to all, or from the prior"
+    return [*figures, *states, f"{ratio:.2f}", note]
+
+
+def notes(entries: Sequence[Entry], *, accepted: int = ACCEPTED) -> list[str]:
+    """Return what a reader of the table must know of this history."""
+    found = []
+    if len(entries) <= accepted:
+        found.append(f"{len(entries)} of {accepted} calibrations at acceptance: no chart yet")
+    models = sorted({e.model for e in entries})
+    if len(models) > 1:
+        found.append(
+            f"models {', '.join(models)} were selected: delta2 and axis_z are compared for "
+            f"{entries[0].model} only, and depths may differ by model"
+        )
+    return found
+
+
+def due(
+    entries: Sequence[Entry], *, tolerance_mm: float, repaired: date | None = None
+) -> tuple[date, Due, Series] | None:
+    """Return the earliest due date over the depths charted; None if there is no interval yet.
+
+    Of calibrations on one day the last counts; those before a repair do not count.
+    """
+    by_day = {e.date: e for e in entries if repaired is None or _day(e.date) >= repaired}
+    if len(by_day) < 2:
+        return None
+    days = np.array([float(_day(text).toordinal()) for text in by_day])
+    found = [
+        (next_due(days, s.values, s.std, tolerance=tolerance_mm), s)
+        for s in series(list(by_day.values()))
+        if s.name.startswith("depth")
+    ]
+    first, where = min(found, key=lambda pair: (pair[0].interval, -(pair[0].risk or 0)))
+    # Whole days, rounded down: the date is not to be later than what was computed.
+    return _day(list(by_day)[-1]) + timedelta(days=int(first.interval)), first, where
+
+
+def _day(text: str) -> date:
+    return date.fromisoformat(text)

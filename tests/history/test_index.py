@@ -1,0 +1,198 @@
+"""The index of calibrations. Evidence: properties, writers killed at random, simulated rigs."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import signal
+import sqlite3
+import subprocess
+import sys
+from datetime import date, timedelta
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calib.cli.main import main
+from calib.history.index import history, rigs, update
+from calib.history.quantities import series
+from calib.history.summary import due, show
+
+NAMES = ["baseline_mm", "delta2_rad", "axis_z_mm", "eccentricity_mm"]
+TRUTH = np.array([120.0, 0.01, -20.0, 3.0])
+STD = np.array([6.0, 5e-4, 1.0, 6.0])
+CORRELATION = np.eye(4)
+CORRELATION[0, 3] = CORRELATION[3, 0] = -0.998
+COVARIANCE = CORRELATION * np.outer(STD, STD)
+
+
+def written(folder: Path, values: np.ndarray, *, rig: str | None, day: date) -> Path:
+    folder.mkdir(parents=True)
+    document = {
+        "format": 1,
+        "dataset": {"name": "my-rig", "sha256": "0" * 64},
+        "measurement": {
+            "model": "axis-offset",
+            "names": NAMES,
+            "values": values.tolist(),
+            "covariance": COVARIANCE.tolist(),
+            "calibrated_depth_mm": [600, 1400],
+        },
+    }
+    if rig is not None:
+        document["rig"] = {"serial": rig}
+    (folder / "calibration.json").write_text(json.dumps(document))
+    (folder / "run.toml").write_text(f'[run]\nfinished = "{day}T08:00:00+00:00"\n')
+    return folder
+
+
+def fleet(top: Path, *, of: int, each: int, step: float = 0.0) -> Path:
+    """Write sound rigs; `step` is added to delta2 from the seventh calibration on."""
+    rng = np.random.default_rng(0)
+    for i in range(of):
+        for k in range(each):
+            values = rng.multivariate_normal(TRUTH, COVARIANCE)
+            values[1] += step * (k >= 6)
+            day = date(2020, 1, 1) + timedelta(days=90 * k)
+            written(top / f"{i:03d}-{k:02d}", values, rig=f"R{i:03d}", day=day)
+    return top
+
+
+def contents(index: Path) -> list[tuple[object, ...]]:
+    with sqlite3.connect(index) as connection:
+        assert connection.execute("PRAGMA integrity_check").fetchone() == ("ok",)
+        return connection.execute("SELECT * FROM calibration ORDER BY path").fetchall()
+
+
+def test_kept_index_equals_one_made_anew(tmp_path: Path) -> None:
+    top, kept = fleet(tmp_path / "runs", of=3, each=4), tmp_path / "kept.sqlite"
+    assert len(update(kept, [top]).added) == 12
+    shutil.move(top / "000-01", top / "elsewhere")
+    shutil.rmtree(top / "001-02")
+    written(top / "new", TRUTH, rig="R9", day=date(2021, 1, 1))
+    (top / "002-00" / "calibration.json").write_text("{")
+    found = update(kept, [top])
+    assert found.moved == ((str(top / "000-01"), str(top / "elsewhere")),)
+    assert found.deleted == (str(top / "001-02"),)
+    assert found.added == (str(top / "new"),)
+    assert [path for path, _ in found.unreadable] == [str(top / "002-00")]
+    update(tmp_path / "anew.sqlite", [top])
+    assert contents(kept) == contents(tmp_path / "anew.sqlite")
+    assert [number for _, number, _ in rigs(kept)] == [4, 3, 3, 1]
+
+
+def test_calibrations_elsewhere_are_kept(tmp_path: Path) -> None:
+    index = tmp_path / "i.sqlite"
+    one = fleet(tmp_path / "one", of=1, each=2)
+    two = tmp_path / "two"
+    written(two / "run", TRUTH, rig="other", day=date(2021, 1, 1))
+    update(index, [one])
+    shutil.move(one, tmp_path / "unmounted")
+    assert update(index, [two]).deleted == ()
+    assert [rig for rig, _, _ in rigs(index)] == ["R000", "other"]
+
+
+def test_the_rig_is_that_of_json_then_certificate_then_dataset(tmp_path: Path) -> None:
+    index = tmp_path / "i.sqlite"
+    certificate = (
+        '<c xmlns="https://ptb.de/dcc"><items><item><identifications><identification>'
+        "<value>{serial}</value><name><content>serial number</content></name></identification>"
+        "</identifications></item></items><endPerformanceDate>2019-05-06</endPerformanceDate></c>"
+    )
+    for name, rig, serial in (("a", "A1", "C1"), ("b", None, "C1"), ("c", None, "0" * 64)):
+        folder = written(tmp_path / "runs" / name, TRUTH, rig=rig, day=date(2021, 1, 1))
+        (folder / "certificate.xml").write_text(certificate.format(serial=serial))
+    update(index, [tmp_path / "runs"])
+    assert {(rig, day) for rig, _, day in rigs(index)} == {
+        ("A1", "2019-05-06"), ("C1", "2019-05-06"), ("my-rig", "2019-05-06"),
+    }  # fmt: skip
+
+
+PROGRAM = "import sys; from calib.cli.main import main; sys.exit(main())"
+
+
+def writer(index: Path, folder: Path) -> subprocess.Popen[bytes]:
+    return subprocess.Popen(
+        [sys.executable, "-c", PROGRAM, "history", "index", str(folder), "--index", str(index)],
+        stdout=subprocess.DEVNULL,
+    )
+
+
+@pytest.mark.slow
+def test_two_writers_and_twenty_kills_lose_nothing(tmp_path: Path) -> None:
+    index, rng = tmp_path / "i.sqlite", np.random.default_rng(0)
+    tops = [fleet(tmp_path / name, of=60, each=5) for name in ("one", "two")]
+    kept = written(tmp_path / "before" / "run", TRUTH, rig="kept", day=date(2021, 1, 1))
+    update(index, [kept.parent])
+    killed = 0
+    while killed < 20:
+        for process in [writer(index, top) for top in tops]:
+            try:
+                process.wait(timeout=rng.uniform(0.2, 2.0))
+            except subprocess.TimeoutExpired:
+                process.send_signal(signal.SIGKILL)
+                process.wait()
+                killed += 1
+        assert any(row[0] == str(kept) for row in contents(index))
+    for process in [writer(index, top) for top in tops]:
+        assert process.wait() == 0
+    update(tmp_path / "anew.sqlite", [*tops, kept.parent])
+    assert contents(index) == contents(tmp_path / "anew.sqlite")
+
+
+def test_charted_uncertainties_are_those_of_repeated_calibrations(tmp_path: Path) -> None:
+    """300 calibrations of one rig: standard deviations are known to 4.1 %."""
+    update(tmp_path / "i.sqlite", [fleet(tmp_path / "runs", of=1, each=300)])
+    found = series(history(tmp_path / "i.sqlite", "R000"))
+    assert len(found) == 6
+    for s in found:
+        assert np.std(s.values) == pytest.approx(np.median(s.std), rel=4 * 0.041), s.name
+
+
+def test_a_step_of_the_zero_is_charted(tmp_path: Path) -> None:
+    top = fleet(tmp_path / "runs", of=1, each=14, step=6 * STD[1])
+    update(tmp_path / "i.sqlite", [top])
+    rows = {row[0]: row for row in show(history(tmp_path / "i.sqlite", "R000"))[1:]}
+    assert rows["delta2, rad"][4] == "ALARM 2021-06-24"
+    assert "scatter exceeds" in rows["delta2, rad"][-1]
+    assert "ALARM" not in "".join(rows["effective baseline, mm"])
+
+
+def test_due_counts_from_the_repair(tmp_path: Path) -> None:
+    update(tmp_path / "i.sqlite", [fleet(tmp_path / "runs", of=1, each=8, step=0.02)])
+    entries = history(tmp_path / "i.sqlite", "R000")
+    drifting = due(entries, tolerance_mm=60.0)
+    repaired = due(entries, tolerance_mm=60.0, repaired=date.fromisoformat(entries[6].date))
+    assert drifting is not None
+    assert repaired is not None
+    assert drifting[1].interval < 90
+    assert repaired[1].interval == 90
+    assert due(entries[:1], tolerance_mm=60.0) is None
+
+
+def test_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    index = ["--index", str(tmp_path / "i.sqlite")]
+    top = fleet(tmp_path / "runs", of=2, each=5)
+    assert main(["history", "show", *index]) == 2
+    assert "calib history index" in capsys.readouterr().err
+    assert main(["history", "index", str(top), *index]) == 0
+    assert "10 calibrations found" in capsys.readouterr().out
+    assert main(["history", "show", *index]) == 0
+    assert "R001" in capsys.readouterr().out
+    assert main(["history", "show", "R001", *index]) == 0
+    assert "depth at 1000 mm" in capsys.readouterr().out
+    chart = tmp_path / "chart.svg"
+    assert main(["history", "chart", "R001", "--out", str(chart), *index]) == 0
+    first = chart.read_bytes()
+    assert first.startswith(b"<svg")
+    assert main(["history", "chart", "R001", "--out", str(chart), *index]) == 0
+    assert chart.read_bytes() == first
+    assert main(["history", "chart", "R001", "--out", str(chart), "--accepted", "5", *index]) == 2
+    capsys.readouterr()
+    assert main(["history", "due", "R001", "--tolerance", "40", *index]) == 0
+    assert "ILAC-G24:2022" in capsys.readouterr().out
+    assert main(["history", "due", "R7", "--tolerance", "40", *index]) == 2
+    assert "no rig 'R7'" in capsys.readouterr().err
+    (tmp_path / "i.sqlite").write_text("no database, but long enough to be looked at" * 9)
+    assert main(["history", "show", *index]) == 2

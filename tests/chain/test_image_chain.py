@@ -53,10 +53,10 @@ def test_run_tells_the_version_of_mrcal(chain: Chain) -> None:
 
 
 def test_parameters_within_their_uncertainty(chain: Chain) -> None:
-    """Simulated truth: each of four parameters within 3.5 of its own standard deviations."""
+    """Simulated truth: each of five parameters within 3.5 of its own standard deviations."""
     assert chain.document["selected"] == "axis-offset"
     pulls = chain.pulls("axis-offset/posterior")
-    assert len(pulls) == 4
+    assert len(pulls) == 5
     assert np.abs(list(pulls.values())).max() < 3.5, pulls
 
 
@@ -69,6 +69,9 @@ def test_sweep_tells_eccentricity_from_baseline(chain: Chain) -> None:
     told = chain.document["identifiability"]["axis-offset"]
     assert told["parameters"]["eccentricity_mm"]["decided_by"] == "sweep"
     assert told["parameters"]["baseline_mm"]["decided_by"] == "rows and sweep"
+    # Pictures of C2 give the gaze residual; how far its centre stands ahead, the sweep says.
+    assert fit["standoff_mm"]["std"] < 5.0
+    assert told["parameters"]["standoff_mm"]["decided_by"] == "sweep"
     assert not any("words" in combination for combination in told["combinations"])
     sweep = chain.document["sweep"]["eccentricity_mm"]
     assert abs(sweep["value"] - 6.0) < 3.5 * sweep["std"]

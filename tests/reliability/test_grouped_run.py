@@ -95,7 +95,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Done]]:
 
 
 def warned(done: Done) -> list[str]:
-    return [text for text in done.document["warnings"] if "err together" in text]
+    return [text for text in done.document["warnings"] if "have a common error" in text]
 
 
 def test_silence_is_warned_of_with_what_to_state(runs: dict[str, Done]) -> None:

@@ -30,10 +30,10 @@ from calib.instrument.averaging import build_average
 from calib.instrument.calibrated import build_instrument, measure_validation, tabulate_depths
 from calib.instrument.evidence import gather_evidence
 from calib.results.calibration import Calibration, GazeResult
-from calib.results.manifest import run_fingerprint
 from calib.rows.from_table import ValidationRows, observe_validation
 from calib.rows.observations import Observations
 from calib.rows.repeated_readings import repetition_warning
+from calib.stages.manifest import Owner, claim, run_fingerprint
 from calib.stages.store import Staged, Store, gather, given, optional, stage
 
 
@@ -82,6 +82,7 @@ def calibrate(
     fingerprint = run_fingerprint(dataset.sha256, vars(options))
     store = Store(out, announce, progress)
     with store.locked():
+        claim(out, Owner(str(dataset.root), dataset.manifest.name, dataset.sha256))
         images = image_stages(dataset, store, options.seed)
         failures = images.failures()
         gaze = None

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import argparse
 import sys
-from pathlib import Path
+from functools import partial
 from typing import TYPE_CHECKING
+
+from calib.cli.arguments import add_input, add_output, depth, natural, number, whole
+from calib.cli.calibrate import run_folder
+from calib.stages.output_guard import RUN_FOLDER, OutputKind
 
 if TYPE_CHECKING:
     from calib.dataset.contents import Dataset
@@ -14,16 +18,20 @@ if TYPE_CHECKING:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    parser.add_argument("dataset", type=Path, metavar="DATASET", help="folder with dataset.toml")
+    add_input(parser, "dataset", metavar="DATASET", help="folder with dataset.toml")
     parser.add_argument(
-        "--depth", type=_positive, nargs="+", required=True, metavar="Z",
+        "--depth", type=depth, nargs="+", required=True, metavar="Z",
         help="depths, mm, at which u(z) matters",
     )  # fmt: skip
     parser.add_argument(
-        "--rows", type=_count, default=6, metavar="N", help="targets to come; default: 6"
+        "--rows",
+        type=partial(whole, least=1, most=MOST_ROWS),
+        default=6,
+        metavar="N",
+        help="targets to come; default: 6",
     )
     parser.add_argument(
-        "--targets", type=_positive, nargs=2, metavar=("NEAR", "FAR"),
+        "--targets", type=depth, nargs=2, metavar=("NEAR", "FAR"),
         help="depths, mm, at which targets can be put; default: from the nearest to the farthest "
         "of the rows and the asked depths",
     )  # fmt: skip
@@ -35,52 +43,28 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--model", default="axis-offset", help="model to learn; default: axis-offset"
     )
     parser.add_argument(
-        "--seed", type=_natural, default=0, metavar="N",
+        "--seed", type=natural, default=0, metavar="N",
         help="of the random targets beside the advice; default: 0",
     )  # fmt: skip
-    parser.add_argument(
-        "--run", type=Path, metavar="DIR", dest="folder",
+    add_output(
+        parser, "--run", kind=RUN_FOLDER, metavar="DIR", dest="folder",
         help="with images: folder of `calib calibrate`, whose finished stages are used and kept "
         "up to date; default: reports/NAME",
     )  # fmt: skip
-    parser.add_argument(
-        "--out", type=Path, metavar="FILE", help="picture, .svg or .png; default: none"
+    add_output(
+        parser, "--out", kind=PICTURE, metavar="FILE", help="picture, .svg or .png; default: none"
     )
-
-
-def _positive(text: str) -> float:
-    return _number(text, float("inf"), "a positive number")
-
-
-def _angle(text: str) -> float:
-    return _number(text, 180.0, "an angle between 0 and 180 deg")
-
-
-def _number(text: str, below: float, wanted: str) -> float:
-    """Return a number between 0 and `below`."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = 0.0
-    if not 0 < value < below:
-        raise argparse.ArgumentTypeError(f"{text!r}: give {wanted}")
-    return value
 
 
 MOST_ROWS = 100
 """Beyond them nobody walks, and the search takes minutes."""
 
-
-def _count(text: str) -> int:
-    if not (text.isascii() and text.isdigit() and 1 <= int(text) <= MOST_ROWS):
-        raise argparse.ArgumentTypeError(f"{text!r}: give a whole number from 1 to {MOST_ROWS}")
-    return int(text)
+PICTURE = OutputKind(is_folder=False, marks=(b"calib plan",))
+"""Its creator is in the metadata of either format."""
 
 
-def _natural(text: str) -> int:
-    if not (text.isascii() and text.isdigit() and int(text) < 2**63):
-        raise argparse.ArgumentTypeError(f"{text!r}: give a whole number from 0 to 2**63 - 1")
-    return int(text)
+def _angle(text: str) -> float:
+    return number(text, below=180.0, wanted="an angle between 0 and 180 deg")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -98,7 +82,7 @@ def run(arguments: argparse.Namespace) -> int:
     asked = np.array(sorted(set(arguments.depth)))
     start = prepare(
         dataset,
-        _prior_knowledge(dataset, arguments.folder),
+        _prior_knowledge(dataset, arguments),
         model=arguments.model,
         asked_mm=asked,
         targets_mm=None if arguments.targets is None else tuple(sorted(arguments.targets)),
@@ -120,7 +104,7 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _prior_knowledge(dataset: Dataset, folder: Path | None) -> PriorKnowledge:
+def _prior_knowledge(dataset: Dataset, arguments: argparse.Namespace) -> PriorKnowledge:
     """Return what is known of the dataset, by its images where it has some."""
     from calib.cli.console import Console
     from calib.core.errors import UsageError
@@ -128,12 +112,12 @@ def _prior_knowledge(dataset: Dataset, folder: Path | None) -> PriorKnowledge:
     from calib.stages.store import Store
 
     if not needs_images(dataset):
-        if folder is not None:
+        if arguments.folder is not None:
             raise UsageError("--run: the dataset has no images, nothing of a run is needed")
         return from_tables(dataset)
     console = Console()
     try:
-        out = folder or Path("reports") / dataset.root.name
+        out = run_folder(arguments.dataset, dataset.root, arguments.folder, force=arguments.force)
         return from_images(dataset, Store(out, console.announce, console.progress))
     finally:
         console.close()

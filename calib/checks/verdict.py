@@ -10,7 +10,8 @@ from calib.core.arrays import FloatArray
 from calib.core.gate import Gate
 from calib.fit.group_check import GroupCheck
 from calib.fit.identifiability import Identifiability
-from calib.fit.posterior import ESS_GOAL, R_HAT_LIMIT, Posterior
+from calib.fit.chains import ESS_GOAL, R_HAT_LIMIT
+from calib.fit.posterior import Posterior
 from calib.fit.priors import NOISE_SCALE
 from calib.geometry.parameters import INDEX, PARAMETERS
 from calib.images.result import ImageResult

@@ -34,6 +34,7 @@ from calib.results.manifest import run_fingerprint
 from calib.rows.from_table import ValidationRows, observe_validation
 from calib.rows.observations import Observations
 from calib.rows.repeated_readings import repetition_warning
+from calib.stages.owner import claim
 from calib.stages.store import Staged, Store, gather, given, optional, stage
 
 
@@ -82,6 +83,7 @@ def calibrate(
     fingerprint = run_fingerprint(dataset.sha256, vars(options))
     store = Store(out, announce, progress)
     with store.locked():
+        claim(out, root=dataset.root, sha256=dataset.sha256)
         images = image_stages(dataset, store, options.seed)
         failures = images.failures()
         gaze = None

@@ -4,16 +4,21 @@ from __future__ import annotations
 
 import argparse
 import sys
-from pathlib import Path
+
+from calib.cli.arguments import add_input, add_output
+from calib.stages.output_guard import OutputKind
+
+PAGE = OutputKind(is_folder=False, marks=(b'content="calib compare"',))
+"""Known by its generator."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    parser.add_argument(
-        "runs", type=Path, nargs="+", metavar="RUN",
+    add_input(
+        parser, "runs", nargs="+", metavar="RUN",
         help="folders of finished runs, or their calibration.json; the first is the reference",
     )  # fmt: skip
-    parser.add_argument("--out", type=Path, metavar="HTML", help="page to write; default: none")
+    add_output(parser, "--out", kind=PAGE, metavar="HTML", help="page to write; default: none")
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -8,32 +8,39 @@ import sys
 from datetime import date
 from pathlib import Path
 
+from calib.cli.arguments import add_input, add_output
+from calib.stages.output_guard import OutputKind
+
+DEFAULT = Path("history.sqlite")
+HELP = f"default: {DEFAULT}"
+
+INDEX = OutputKind(is_folder=False, marks=(b"SQLite format 3\0",))
+"""Whose database it is `calib.history.index` sees before it changes anything."""
+
+MARK = b'data-generator="calib history chart" '
+CHART = OutputKind(is_folder=False, marks=(MARK,))
+"""Known by its generator."""
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's own commands."""
     commands = parser.add_subparsers(dest="history_command", required=True, metavar="COMMAND")
 
     add = commands.add_parser("index", help="index the calibrations in folders, by rig")
-    add.add_argument("folders", type=Path, nargs="+", metavar="DIR")
-    _index(add)
+    add_input(add, "folders", nargs="+", metavar="DIR", help="folders with finished runs")
+    add_output(add, "--index", kind=INDEX, default=DEFAULT, metavar="FILE", help=HELP)
     add.set_defaults(run=_run_index)
 
     add = commands.add_parser("show", help="all rigs, or one rig's control charts as text")
     add.add_argument("rig", nargs="?", metavar="RIG", help="serial number; default: list the rigs")
-    add.add_argument(
-        "--accepted", type=_positive, metavar="N",
-        help="calibrations that make the reference; default: 3",
-    )  # fmt: skip
+    _accepted(add)
     _index(add)
     add.set_defaults(run=_run_show)
 
     add = commands.add_parser("chart", help="one rig's control charts as SVG")
     add.add_argument("rig", metavar="RIG", help="serial number")
-    add.add_argument("--out", type=Path, required=True, metavar="SVG", help="file to write")
-    add.add_argument(
-        "--accepted", type=_positive, metavar="N",
-        help="calibrations that make the reference; default: 3",
-    )  # fmt: skip
+    add_output(add, "--out", kind=CHART, required=True, metavar="SVG", help="file to write")
+    _accepted(add)
     _index(add)
     add.set_defaults(run=_run_chart)
 
@@ -51,11 +58,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add.set_defaults(run=_run_due)
 
 
-def _index(parser: argparse.ArgumentParser) -> None:
+def _accepted(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "--index", type=Path, default=Path("history.sqlite"), metavar="FILE",
-        help="default: history.sqlite",
+        "--accepted", type=_positive, metavar="N",
+        help="calibrations that make the reference; default: 3",
     )  # fmt: skip
+
+
+def _index(parser: argparse.ArgumentParser) -> None:
+    add_input(parser, "--index", default=DEFAULT, metavar="FILE", help=HELP)
 
 
 def _positive(text: str) -> int:
@@ -139,7 +150,8 @@ def _run_chart(arguments: argparse.Namespace) -> int:
             what=f"has {len(entries)} calibrations, of which {accepted} make the reference",
             remedy="calibrate it again, or give a smaller --accepted",
         )
-    write_bytes(arguments.out, svg(chart_figure(entries, accepted=accepted)))
+    picture = svg(chart_figure(entries, accepted=accepted))
+    write_bytes(arguments.out, picture.replace(b"<svg ", b"<svg " + MARK, 1))
     print(f"{arguments.out}: written")
     return 0
 

@@ -20,8 +20,16 @@ from calib.cli import compare as compare_command
 from calib.cli import history as history_command
 from calib.cli import plan as plan_command
 from calib.cli import study as study_command
+from calib.cli.arguments import (
+    STREAM,
+    add_input,
+    add_output,
+    guard_outputs,
+    run_folder,
+)
 from calib.core.errors import CalibError, UsageError
 from calib.stages.interruption import interrupt_on
+from calib.stages.output_guard import NEW_FOLDER, RUN_FOLDER, OutputKind
 
 if TYPE_CHECKING:
     from calib.dataset.contents import Dataset
@@ -39,11 +47,11 @@ def _seed(text: str) -> int:
     return int(text)
 
 
-def _path(text: str) -> Path:
-    """Return a path; an empty one, of an unset variable, would be the working directory."""
-    if not text:
-        raise argparse.ArgumentTypeError("is empty: give a name")
-    return Path(text)
+POSITIONS = OutputKind(
+    is_folder=False,
+    marks=(b"id,x_mm,y_mm,z_mm,", b"id,source,u_z_mm,", b"length_mm,u_length_mm,reference_mm"),
+)
+"""Known by the header of their table."""
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -57,8 +65,8 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
 
     add = commands.add_parser("calibrate", help="run the whole chain on a dataset")
-    add.add_argument("dataset", type=_path, metavar="DATASET", help="folder with dataset.toml")
-    add.add_argument("--out", type=_path, metavar="DIR", help="default: reports/NAME")
+    add_input(add, "dataset", metavar="DATASET", help="folder with dataset.toml")
+    add_output(add, "--out", kind=RUN_FOLDER, metavar="DIR", help="default: reports/NAME")
     add.add_argument("--seed", type=_seed, default=0, metavar="N", help="default: 0")
     add.add_argument(
         "--depths", type=float, nargs=2, metavar=("LOW", "HIGH"),
@@ -67,17 +75,15 @@ def _parser() -> argparse.ArgumentParser:
     add.set_defaults(run=_calibrate)
 
     add = commands.add_parser("check", help="list every problem of a dataset; writes nothing")
-    add.add_argument("dataset", type=_path, metavar="DATASET")
+    add_input(add, "dataset", metavar="DATASET")
     add.set_defaults(run=_check)
 
     add = commands.add_parser("measure", help="3-D positions from readings and a calibration")
-    add.add_argument("calibration", type=Path, metavar="CALIBRATION.json")
-    add.add_argument("table", metavar="TABLE.csv", help="- reads standard input")
-    add.add_argument("--out", type=Path, metavar="CSV", help="default: standard output")
+    add_input(add, "calibration", metavar="CALIBRATION.json")
+    add_input(add, "table", metavar="TABLE.csv", help="- reads standard input")
+    add_output(add, "--out", kind=POSITIONS, metavar="CSV", help="default: standard output")
     instead = add.add_mutually_exclusive_group()
-    instead.add_argument(
-        "--lengths", type=Path, metavar="CSV", help="id, from, to: their distances"
-    )
+    add_input(add, "--lengths", group=instead, metavar="CSV", help="id, from, to: their distances")
     instead.add_argument("--sources", action="store_true", help="what u(z) of each is made of")
     add.add_argument(
         "--model", default="selected", metavar="NAME",
@@ -86,7 +92,7 @@ def _parser() -> argparse.ArgumentParser:
     add.set_defaults(run=_measure)
 
     add = commands.add_parser("simulate", help="a dataset with known truth")
-    add.add_argument("out", type=Path, metavar="OUT", help="folder to make")
+    add_output(add, "out", kind=NEW_FOLDER, metavar="OUT", help="folder to make")
     add.add_argument("--seed", type=_seed, required=True, metavar="N")
     add.add_argument("--images", action="store_true", help="render the whole rig's pictures")
     add.add_argument("--model", default="axis-offset", help="default: axis-offset")
@@ -122,6 +128,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parsed = _parser().parse_args(arguments)
     command: Callable[[argparse.Namespace], int] = parsed.run
     try:
+        guard_outputs(parsed)
         return command(parsed)
     except CalibError as error:
         print(f"calib: {error}", file=sys.stderr)
@@ -142,7 +149,7 @@ def _calibrate(arguments: argparse.Namespace) -> int:
 
     interrupt_on(signal.SIGINT, signal.SIGTERM)
     dataset = load_dataset(arguments.dataset)
-    out: Path = arguments.out or Path("reports") / dataset.root.name
+    out = run_folder(arguments.out, dataset.root, force=arguments.force)
     depths = tuple(arguments.depths) if arguments.depths else None
     if depths is not None and not 0 < depths[0] < depths[1] < float("inf"):
         raise UsageError("--depths: give two depths in mm, 0 < LOW < HIGH")
@@ -210,8 +217,9 @@ def _measure(arguments: argparse.Namespace) -> int:
     from calib.stages.store import write_bytes
 
     measuring = read_calibration(arguments.calibration)
-    name = "standard input" if arguments.table == "-" else arguments.table
-    text = sys.stdin.buffer.read(TABLE_LIMIT_BYTES + 1) if arguments.table == "-" else Path(name)
+    piped = str(arguments.table) == STREAM
+    name = "standard input" if piped else str(arguments.table)
+    text = sys.stdin.buffer.read(TABLE_LIMIT_BYTES + 1) if piped else arguments.table
     table, model = read_measurements(table_text(text, name=name), name=name), arguments.model
     if arguments.sources:
         result = sources_csv(measure(instrument_of(measuring, model), table))

@@ -7,6 +7,9 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from calib.cli.arguments import add_input, add_output, run_folder
+from calib.stages.output_guard import RUN_FOLDER, OutputKind
+
 if TYPE_CHECKING:
     from calib.dataset.contents import Dataset
     from calib.plan.prior_knowledge import PriorKnowledge
@@ -14,7 +17,7 @@ if TYPE_CHECKING:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    parser.add_argument("dataset", type=Path, metavar="DATASET", help="folder with dataset.toml")
+    add_input(parser, "dataset", metavar="DATASET", help="folder with dataset.toml")
     parser.add_argument(
         "--depth", type=_positive, nargs="+", required=True, metavar="Z",
         help="depths, mm, at which u(z) matters",
@@ -38,13 +41,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--seed", type=_natural, default=0, metavar="N",
         help="of the random targets beside the advice; default: 0",
     )  # fmt: skip
-    parser.add_argument(
-        "--run", type=Path, metavar="DIR", dest="folder",
+    add_output(
+        parser, "--run", kind=RUN_FOLDER, metavar="DIR", dest="folder",
         help="with images: folder of `calib calibrate`, whose finished stages are used and kept "
         "up to date; default: reports/NAME",
     )  # fmt: skip
-    parser.add_argument(
-        "--out", type=Path, metavar="FILE", help="picture, .svg or .png; default: none"
+    add_output(
+        parser, "--out", kind=PICTURE, metavar="FILE", help="picture, .svg or .png; default: none"
     )
 
 
@@ -66,6 +69,9 @@ def _number(text: str, below: float, wanted: str) -> float:
         raise argparse.ArgumentTypeError(f"{text!r}: give {wanted}")
     return value
 
+
+PICTURE = OutputKind(is_folder=False, marks=(b"calib plan",))
+"""Known by the creator in its metadata."""
 
 MOST_ROWS = 100
 """Beyond them nobody walks, and the search takes minutes."""
@@ -98,7 +104,7 @@ def run(arguments: argparse.Namespace) -> int:
     asked = np.array(sorted(set(arguments.depth)))
     start = prepare(
         dataset,
-        _prior_knowledge(dataset, arguments.folder),
+        _prior_knowledge(dataset, arguments.folder, force=arguments.force),
         model=arguments.model,
         asked_mm=asked,
         targets_mm=None if arguments.targets is None else tuple(sorted(arguments.targets)),
@@ -120,7 +126,7 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _prior_knowledge(dataset: Dataset, folder: Path | None) -> PriorKnowledge:
+def _prior_knowledge(dataset: Dataset, folder: Path | None, *, force: bool) -> PriorKnowledge:
     """Return what is known of the dataset, by its images where it has some."""
     from calib.cli.console import Console
     from calib.core.errors import UsageError
@@ -133,7 +139,7 @@ def _prior_knowledge(dataset: Dataset, folder: Path | None) -> PriorKnowledge:
         return from_tables(dataset)
     console = Console()
     try:
-        out = folder or Path("reports") / dataset.root.name
+        out = run_folder(folder, dataset.root, force=force)
         return from_images(dataset, Store(out, console.announce, console.progress))
     finally:
         console.close()

@@ -7,15 +7,19 @@ import shlex
 import sys
 from pathlib import Path
 
+from calib.cli.arguments import add_output
+from calib.stages.output_guard import OutputKind
+
 DONE, CLAIM_BROKEN = 0, 3
 
 JOURNAL = "rigs.jsonl"
+STUDY = OutputKind(is_folder=True, marks=(JOURNAL,))
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    parser.add_argument(
-        "--out", type=Path, default=Path("reports/study"), metavar="DIR",
+    add_output(
+        parser, "--out", kind=STUDY, default=Path("reports/study"), metavar="DIR",
         help="default: reports/study; finished rigs there are reused",
     )  # fmt: skip
     parser.add_argument(

@@ -34,13 +34,14 @@ from calib.geometry.parameters import INDEX
 
 RESULT, CERTIFICATE, RUN = "calibration.json", "certificate.xml", "run.toml"
 
-DEFAULT_INDEX = Path("history.sqlite")
-
 WAIT_S = 60.0
 """For another writer; a transaction of 10,000 calibrations takes a tenth of it."""
 
 LAYOUT = 1
 """Version of the tables; an index of another is made anew."""
+
+APPLICATION = 0x43414C49
+"""Marks a database as such an index (``PRAGMA application_id``): "CALI" in ASCII."""
 
 _TABLE = """
 CREATE TABLE IF NOT EXISTS calibration (
@@ -217,11 +218,23 @@ def _opened(index: Path) -> Iterator[sqlite3.Connection]:
             yield connection
     except sqlite3.DatabaseError as error:
         raise UsageError(
-            f"{index}: cannot be used ({error}); delete it and run calib history index again"
+            f"{index}: cannot be used ({error}); name another file with --index: an index is made "
+            "anew from the folders of the runs"
         ) from error
 
 
+def _refuse_foreign(connection: sqlite3.Connection, index: Path) -> None:
+    """Raise if a database is not empty and is no index of calibrations."""
+    (mark,) = connection.execute("PRAGMA application_id").fetchone()
+    (objects,) = connection.execute("SELECT COUNT(*) FROM sqlite_master").fetchone()
+    if mark != APPLICATION and (mark or objects):
+        raise UsageError(
+            f"{index}: is a database of another origin; name another file with --index"
+        )
+
+
 def _prepare(connection: sqlite3.Connection) -> None:
+    connection.execute(f"PRAGMA application_id={APPLICATION}")
     connection.execute("PRAGMA journal_mode=WAL")
     connection.execute("PRAGMA synchronous=FULL")
 
@@ -254,6 +267,7 @@ def update(index: Path, roots: Sequence[Path]) -> Indexed:
         except ValueError as error:
             unreadable.append((str(folder), str(error)))
     with _opened(index) as connection:
+        _refuse_foreign(connection, index)
         _prepare(connection)
         connection.execute("BEGIN IMMEDIATE")
         if connection.execute("PRAGMA user_version").fetchone()[0] != LAYOUT:

@@ -89,7 +89,8 @@ def text(found: Sequence[Table]) -> str:
 
 
 _HEAD = """<!doctype html>
-<html lang="en"><head><meta charset="utf-8"><title>Runs side by side</title>
+<html lang="en"><head><meta charset="utf-8">
+<meta name="generator" content="calib compare"><title>Runs side by side</title>
 <style>
 body { font: 15px/1.45 "DejaVu Sans", sans-serif; margin: 2em auto; max-width: 62em; }
 table { border-collapse: collapse; margin: .6em 0 1.6em; }

@@ -38,6 +38,9 @@ _STYLE: Any = {
     "svg.fonttype": "path",
 }
 
+CREATOR = "calib plan"
+"""In the metadata of its pictures: a later run knows them for its own."""
+
 
 def picture_format(path: Path) -> str:
     """Return "svg" or "png".
@@ -120,7 +123,7 @@ def picture(advice: Advice, rows_mm: FloatArray, *, kind: str) -> bytes:
         plan, progress = figure.subplots(1, 2)
         _from_above(plan, advice, rows_mm)
         _by_count(progress, advice)
-        metadata = {"Date": None} if kind == "svg" else None
+        metadata = {"Date": None, "Creator": CREATOR} if kind == "svg" else {"Software": CREATOR}
         figure.savefig(buffer, format=kind, dpi=150, metadata=metadata)
     return buffer.getvalue()
 

@@ -12,6 +12,7 @@ from calib.fit.priors import Measured
 from calib.rows.from_table import CameraSet, Setup, row_settings
 from calib.rows.observations import Observations
 from calib.rows.repeated_readings import observe_gazes
+from calib.stages.owner import claim
 from calib.stages.store import Store
 
 
@@ -69,6 +70,7 @@ def from_images(dataset: Dataset, store: Store) -> PriorKnowledge:
 
     seed = _seed_of(dataset, store.out)
     with store.locked():
+        claim(store.out, root=dataset.root, sha256=dataset.sha256)
         images = image_stages(dataset, store, seed)
         rows = None
         if dataset.gaze is not None:

@@ -1,0 +1,115 @@
+"""Path arguments and their roles.
+
+A path argument is added by one of the functions below, never by a bare `type=Path`: its role
+decides what the guard of `calib.stages.output_guard` holds it against, before the command begins.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from calib.stages.output_guard import RUN_FOLDER, OutputKind, guarded
+
+STREAM = "-"
+"""Stands for standard input where a command takes it."""
+
+
+@dataclass(frozen=True)
+class PathRole:
+    """What a command does with a path: reads it (`writes` is None), or writes it."""
+
+    option: str
+    dest: str
+    writes: OutputKind | None = None
+
+
+def roles(parser: argparse.ArgumentParser) -> list[PathRole]:
+    """Return the roles of a command's paths."""
+    return list(parser.get_default("path_roles") or ())
+
+
+def path(text: str) -> Path:
+    """Return a path; an empty one, of an unset variable, would be the working directory."""
+    if not text:
+        raise argparse.ArgumentTypeError("is empty: give a name")
+    return Path(text)
+
+
+def add_input(
+    parser: argparse.ArgumentParser,
+    *names: str,
+    group: argparse._MutuallyExclusiveGroup | None = None,
+    **settings: Any,
+) -> None:
+    """Add a path that the command reads; the settings are those of ``add_argument``."""
+    _add(parser, None, names, {"type": path} | settings, group)
+
+
+def add_output(
+    parser: argparse.ArgumentParser, *names: str, kind: OutputKind, **settings: Any
+) -> None:
+    """Add a path that the command writes, and the option that lets it replace a foreign file."""
+    _add(parser, kind, names, {"type": path} | settings)
+    if "--force" not in parser._option_string_actions:
+        parser.add_argument(
+            "--force", action="store_true", help="replace files that another tool wrote"
+        )
+
+
+def _add(
+    parser: argparse.ArgumentParser,
+    kind: OutputKind | None,
+    names: Sequence[str],
+    settings: dict[str, Any],
+    group: argparse._MutuallyExclusiveGroup | None = None,
+) -> None:
+    action = (group or parser).add_argument(*names, **settings)
+    option = names[0] if names[0].startswith("-") else str(settings.get("metavar", names[0]))
+    parser.set_defaults(path_roles=[*roles(parser), PathRole(option, action.dest, kind)])
+
+
+def inputs_of(parsed: argparse.Namespace) -> list[Path]:
+    """Return the paths that a command reads."""
+    found: list[Path] = []
+    for role in getattr(parsed, "path_roles", ()):
+        value = getattr(parsed, role.dest)
+        if role.writes is None and value is not None:
+            found += value if isinstance(value, list) else [value]
+    return [one for one in found if str(one) != STREAM]
+
+
+def guard_outputs(parsed: argparse.Namespace) -> None:
+    """Hold the outputs that were asked for against everything else; they become real paths.
+
+    Raises
+    ------
+    UsageError
+        If one may not be written.
+    """
+    for role in getattr(parsed, "path_roles", ()):
+        value = getattr(parsed, role.dest)
+        if role.writes is not None and value is not None:
+            real = guarded(
+                value, role.writes,
+                option=role.option, inputs=inputs_of(parsed), force=parsed.force,
+            )  # fmt: skip
+            setattr(parsed, role.dest, real)
+
+
+def run_folder(out: Path | None, root: Path, *, force: bool) -> Path:
+    """Return the folder of a dataset's run: `out`, which is guarded already, or ``reports/NAME``.
+
+    Raises
+    ------
+    UsageError
+        If the default may not be written.
+    """
+    if out is not None:
+        return out
+    default = Path("reports") / root.name
+    guarded(default, RUN_FOLDER, option="--out", inputs=[root], force=force)
+    return default

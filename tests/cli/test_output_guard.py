@@ -1,0 +1,196 @@
+"""Nothing that a user has is overwritten unasked, by any command or option that writes.
+
+Evidence: property, over every output of the parser, so that a new option cannot forget the guard.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sqlite3
+import stat
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from command import GOOD, call, dataset, tree
+
+from calib.cli.arguments import PathRole, guard_outputs, roles
+from calib.cli.main import _parser
+from calib.core.errors import UsageError
+from calib.stages.output_guard import guarded
+from calib.stages.owner import claim
+
+
+def commands(parser: argparse.ArgumentParser) -> Iterator[argparse.ArgumentParser]:
+    """Yield every command, and the commands of commands."""
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            for command in action.choices.values():
+                yield command
+                yield from commands(command)
+
+
+COMMANDS = list(commands(_parser()))
+OUTPUTS = [
+    pytest.param(command, role, id=f"{command.prog} {role.option}")
+    for command in COMMANDS
+    for role in roles(command)
+    if role.writes is not None
+]
+FILES = [one for one in OUTPUTS if not one.values[1].writes.is_folder]
+FOLDERS = [one for one in OUTPUTS if one.values[1].writes.is_folder]
+
+
+@pytest.mark.parametrize("command", COMMANDS, ids=lambda c: c.prog)
+def test_every_path_has_a_role(command: argparse.ArgumentParser) -> None:
+    known = {role.dest for role in roles(command)}
+    for action in command._actions:
+        assert action.type is not Path, action.dest
+        words = f"{action.dest} {action.metavar} {action.help}".lower()
+        if any(w in words.split() for w in ("out", "file", "dir", "folder", "csv", "html", "svg")):
+            assert action.dest in known, action.dest
+
+
+def test_commands_that_write_are_known() -> None:
+    assert len(OUTPUTS) >= 9
+    assert {one.values[0].prog.split()[1] for one in OUTPUTS} >= {
+        "calibrate", "measure", "simulate", "compare", "plan", "study", "history",
+    }  # fmt: skip
+
+
+def asked(command: argparse.ArgumentParser, role: PathRole, out: Path, given: Path) -> None:
+    """Guard `out` as an output of a command whose inputs are all `given`."""
+    values: dict[str, object] = {"path_roles": roles(command), "force": False}
+    for other in roles(command):
+        values[other.dest] = given if other.writes is None else None
+    guard_outputs(argparse.Namespace(**values | {role.dest: out}))
+
+
+@pytest.mark.parametrize(("command", "role"), FILES)
+def test_file_spares_inputs_devices_pipes_folders_and_foreign_files(
+    command: argparse.ArgumentParser, role: PathRole, tmp_path: Path
+) -> None:
+    given, foreign, pipe = tmp_path / "input", tmp_path / "notes.txt", tmp_path / "pipe"
+    given.write_text("input")
+    foreign.write_text("notes")
+    os.mkfifo(pipe)
+    for name, target in (("to-input", given), ("to-notes", foreign)):
+        (tmp_path / name).symlink_to(target)
+    (tmp_path / "hard").hardlink_to(given)
+    before = tree_of_files(tmp_path)
+    names = ["input", "notes.txt", "pipe", "to-input", "to-notes", "hard", "."]
+    for out in [*(tmp_path / name for name in names), Path("/dev/null")]:
+        with pytest.raises(UsageError):
+            asked(command, role, out, given)
+    assert tree_of_files(tmp_path) == before
+    assert stat.S_ISFIFO(pipe.stat().st_mode)
+    asked(command, role, tmp_path / "new", given)
+
+
+def tree_of_files(folder: Path) -> dict[str, bytes]:
+    return {p.name: p.read_bytes() for p in folder.iterdir() if p.is_file()}
+
+
+@pytest.mark.parametrize(("command", "role"), OUTPUTS)
+def test_dataset_is_spared(
+    command: argparse.ArgumentParser, role: PathRole, tmp_path: Path
+) -> None:
+    data = dataset(tmp_path / "rigs" / "data", GOOD)
+    inside = [data, data / "new"] if has_input(command) else [data]
+    for out in inside:
+        with pytest.raises(UsageError):
+            asked(command, role, out, data)
+
+
+@pytest.mark.parametrize(("command", "role"), FOLDERS)
+def test_folder_spares_what_is_above_files_and_folders_of_others(
+    command: argparse.ArgumentParser, role: PathRole, tmp_path: Path
+) -> None:
+    data = dataset(tmp_path / "rigs" / "data", GOOD)
+    other = tmp_path / "letters"
+    other.mkdir()
+    (other / "letter.txt").write_text("dear")
+    for out in (data.parent, other, other / "letter.txt"):
+        with pytest.raises(UsageError):
+            asked(command, role, out, data)
+    asked(command, role, tmp_path / "new", data)
+
+
+def has_input(command: argparse.ArgumentParser) -> bool:
+    return any(role.writes is None for role in roles(command))
+
+
+def test_force_gives_up_a_foreign_file_but_no_input(tmp_path: Path) -> None:
+    role = next(r for c in COMMANDS for r in roles(c) if c.prog.endswith("measure") and r.writes)
+    assert role.writes is not None
+    notes = tmp_path / "notes.txt"
+    notes.write_text("notes")
+    assert guarded(notes, role.writes, option="--out", force=True) == notes
+    with pytest.raises(UsageError, match="is an input of the same command"):
+        guarded(notes, role.writes, option="--out", inputs=[notes], force=True)
+
+
+def test_link_is_written_through(tmp_path: Path) -> None:
+    role = next(r for c in COMMANDS for r in roles(c) if c.prog.endswith("measure") and r.writes)
+    assert role.writes is not None
+    target = tmp_path / "positions.csv"
+    target.write_text("id,x_mm,y_mm,z_mm,u_x_mm\n")
+    (tmp_path / "link").symlink_to(target)
+    assert guarded(tmp_path / "link", role.writes, option="--out") == target
+
+
+def test_outputs_onto_inputs_at_the_command_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    data = dataset(tmp_path / "data", GOOD | {"corners.vnl": "# mine\n"})
+    (tmp_path / "c.json").write_text("{}")
+    (tmp_path / "t.csv").write_text("id,x1c,y1c,alpha2_deg\n1,0.1,0.01,86\n")
+    before = tree(tmp_path)
+    for arguments in (
+        ["measure", "c.json", "t.csv", "--out", "c.json"],
+        ["measure", "c.json", "t.csv", "--out", "t.csv"],
+        ["compare", "c.json", "c.json", "--out", "c.json"],
+        ["calibrate", data, "--out", data],
+        ["calibrate", data, "--out", data / "results"],
+        ["calibrate", data, "--out", tmp_path],
+        ["history", "index", data, "--index", data / "gaze.csv"],
+    ):
+        ended = call(capsys, *arguments)
+        assert ended.status == 2, arguments
+        assert ended.err.startswith("calib: "), ended.err
+        assert "Traceback" not in ended.err
+    assert tree(tmp_path) == before
+
+
+def test_run_of_another_dataset_is_not_replaced(tmp_path: Path) -> None:
+    out, first, second = (tmp_path / name for name in ("reports/day1", "rig1/day1", "rig2/day1"))
+    for folder in (out / ".stages", first, second):
+        folder.mkdir(parents=True)
+    claim(out, root=first, sha256="a" * 64)
+    claim(out, root=first, sha256="b" * 64)  # edited
+    with pytest.raises(UsageError, match=r"--out .*rig2-day1"):
+        claim(out, root=second, sha256="c" * 64)
+    claim(out, root=second, sha256="b" * 64)  # moved
+    moved = tmp_path / "elsewhere"
+    moved.mkdir()
+    (tmp_path / "reports").rename(moved / "reports")
+    claim(moved / "reports" / "day1", root=moved / "rig2" / "day1", sha256="d" * 64)
+
+
+def test_database_of_another_origin_is_not_touched(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    other = tmp_path / "lab.sqlite"
+    with sqlite3.connect(other) as connection:
+        connection.execute("CREATE TABLE calibration (mine TEXT)")
+        connection.execute("INSERT INTO calibration VALUES ('kept')")
+    connection.close()
+    (tmp_path / "runs").mkdir()
+    before = other.read_bytes()
+    ended = call(capsys, "history", "index", tmp_path / "runs", "--index", other)
+    assert ended.status == 2
+    assert "database of another origin" in ended.err
+    assert "delete" not in ended.err
+    assert other.read_bytes() == before

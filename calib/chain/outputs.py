@@ -49,8 +49,13 @@ def write_outputs(
     store.announce("report")
     with _settled():
         files = _results(calibration) | _report(calibration, dataset, made)
-        files |= _certificate(calibration, dataset, made)
-    files["run.toml"] = tomli_w.dumps(_run(calibration, made)).encode()
+        certificate, pdf_missing = _certificate(calibration, dataset, made)
+    files |= certificate
+    run = _run(calibration, made)
+    if pdf_missing is not None:
+        run["certificate"] = {"pdf_missing": pdf_missing}
+        store.announce(f"warning: no certificate.pdf: {pdf_missing}")
+    files["run.toml"] = tomli_w.dumps(run).encode()
     for name, content in files.items():
         write_bytes(out / name, content)
     # A certificate of an earlier run must not lie beside results it does not certify.
@@ -102,11 +107,13 @@ def _report(calibration: Calibration, dataset: Dataset, made: Provenance) -> dic
     return {"report.html": report.encode()}
 
 
-def _certificate(calibration: Calibration, dataset: Dataset, made: Provenance) -> dict[str, bytes]:
-    """Return the certificate in its forms; nothing where there is nothing to certify."""
+def _certificate(
+    calibration: Calibration, dataset: Dataset, made: Provenance
+) -> tuple[dict[str, bytes], str | None]:
+    """Return the certificate in its forms, and why it has no PDF; nothing to certify, no forms."""
     gaze = calibration.gaze
     if gaze is None or gaze.calibrated is None or gaze.evidence is None:
-        return {}
+        return {}, None
     # Equal seeds issue different certificates: the token is no result and not from the seed.
     issue = new_issue(
         now=datetime.now(UTC), dataset_sha256=calibration.sha256, token=secrets.token_hex(6)
@@ -116,7 +123,7 @@ def _certificate(calibration: Calibration, dataset: Dataset, made: Provenance) -
     files = {"certificate.html": forms.html.encode(), "certificate.xml": forms.xml}
     if forms.pdf is not None:
         files["certificate.pdf"] = forms.pdf
-    return files
+    return files, forms.pdf_missing
 
 
 def _run(calibration: Calibration, made: Provenance) -> dict[str, Any]:

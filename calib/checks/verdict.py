@@ -283,7 +283,7 @@ def _left_to_priors(found: Identifiability) -> list[str]:
             continue  # two combinations may ask for the same
         own = [name for name in found.names if name in combination.names and name in left]
         left = [name for name in left if name not in own]
-        decided = f"; until then its prior decides {' and '.join(own)}" if own else ""
+        decided = f"; until then {' and '.join(own)} rest on prior knowledge" if own else ""
         texts.append(f"{combination.words}{decided}")
     texts += [
         f"{name} ({PARAMETERS[INDEX[name]].meaning}) is decided by prior knowledge, not by the rows"

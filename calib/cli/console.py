@@ -54,7 +54,8 @@ def summary(out: Path) -> tuple[str, bool]:
         fit = result["fits"][f"{selected}/posterior"]
         everything = fit["parameters"] | fit.get("derived", {})
         for name, estimate in everything.items():
-            decided = " (decided by its prior)" if estimate.get("identified_by") == "prior" else ""
+            by_prior = estimate.get("identified_by") == "prior"
+            decided = " (identified by prior knowledge)" if by_prior else ""
             figures = f"{estimate['value']:12.5g} +- {estimate['std']:.2g}"
             lines.append(f"  {name:24s} {figures}{decided}")
     failed = [gate for gate in result["gates"] if not gate["passed"]]

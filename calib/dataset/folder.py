@@ -168,7 +168,7 @@ class Folder:
         found: list[str] = []
         problems: list[Problem] = []
         # Unlike Path.glob this passes over hidden files, such as macOS leaves beside images.
-        names = glob.glob(pattern, root_dir=self.root)  # noqa: PTH207
+        names = glob.glob(pattern, root_dir=self.root)  # noqa: PTH207 - see above
         for name in sorted(names):
             if (self.root / name).is_dir():
                 continue

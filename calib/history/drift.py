@@ -2,7 +2,7 @@
 
 Runs are taken as independent: what they share (the same board, the same ruler) cancels in the
 difference, so that the true significance is if anything higher. Priors that both contain do not
-cancel: a parameter that its prior decides hardly drifts, whatever the rig does.
+cancel: a parameter that prior knowledge identifies hardly drifts, whatever the rig does.
 """
 
 from __future__ import annotations
@@ -152,7 +152,7 @@ def _unit(name: str) -> str:
 
 def _note(name: str, first: Run, other: Run) -> str:
     decided = [run.identified_by.get(name) for run in (first, other)]
-    return "decided by its prior" if "prior" in decided else ""
+    return "identified by prior knowledge" if "prior" in decided else ""
 
 
 def _together(first: Run, other: Run) -> float | None:

@@ -65,7 +65,7 @@ def test_a_change_that_single_parameters_hide_is_found() -> None:
     assert not by_name["baseline_mm"].significant
     assert by_name["effective_baseline_mm"].significant
     assert by_name["effective_baseline_mm"].difference == pytest.approx(4.0)
-    assert by_name["eccentricity_mm"].note == "decided by its prior"
+    assert by_name["eccentricity_mm"].note == "identified by prior knowledge"
     assert found.p_value is not None
     assert found.p_value < 1e-6
     depth = by_name["reading of 1000 mm"]
@@ -90,7 +90,7 @@ def test_tables_say_the_same_as_text_and_html() -> None:
     page, plain = html(found), text(found)
     assert "monday &amp; tuesday" in page
     assert "monday & tuesday" in plain
-    for piece in ("a significant change", "decided by its prior", "+4 mm"):
+    for piece in ("a significant change", "identified by prior knowledge", "+4 mm"):
         assert piece in page
         assert piece in plain
     assert "http" not in page

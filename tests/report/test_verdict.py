@@ -45,7 +45,7 @@ def test_what_is_left_to_the_prior_is_said_once() -> None:
     told = gaze().identifiability["axis-offset"]
     (text,) = warned(told)
     assert told.open[0].words in text
-    assert text.endswith("its prior decides baseline_mm and eccentricity_mm")
+    assert text.endswith("baseline_mm and eccentricity_mm rest on prior knowledge")
     closed = tuple(replace(c, remedies=()) for c in told.combinations)
     assert len(warned(replace(told, combinations=closed))) == 2
     twice = replace(told, combinations=tuple(replace(c, **vars(told.open[0])) for c in closed))

@@ -23,7 +23,7 @@ from calib.core.mrcal_python import INTERPRETER_VARIABLE, mrcal_interpreter
 
 if TYPE_CHECKING:
     # Run elsewhere, but the results depend on it: fingerprints follow imports.
-    from calib.images.mrcal import worker  # noqa: F401
+    from calib.images.mrcal import worker  # noqa: F401 - see above
 
 INSTALL = "apt install python3-mrcal"
 """How Debian and Ubuntu users get mrcal."""

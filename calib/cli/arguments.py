@@ -113,3 +113,26 @@ def run_folder(out: Path | None, root: Path, *, force: bool) -> Path:
     default = Path("reports") / root.name
     guarded(default, RUN_FOLDER, option="--out", inputs=[root], force=force)
     return default
+
+
+MOST = 2**63 - 1
+"""Largest seed."""
+
+
+def natural(text: str) -> int:
+    """Return a whole number from 0."""
+    return whole(text, least=0)
+
+
+def positive(text: str) -> int:
+    """Return a whole number from 1."""
+    return whole(text, least=1)
+
+
+def whole(text: str, *, least: int, most: int = MOST) -> int:
+    """Return a whole number within bounds."""
+    digits = text.isascii() and text.isdigit() and len(text) <= len(str(MOST))
+    if not (digits and least <= int(text) <= most):
+        limit = "2**63 - 1" if most == MOST else str(most)
+        raise argparse.ArgumentTypeError(f"{text!r}: give a whole number from {least} to {limit}")
+    return int(text)

@@ -8,7 +8,7 @@ import sys
 from datetime import date
 from pathlib import Path
 
-from calib.cli.arguments import add_input, add_output
+from calib.cli.arguments import add_input, add_output, positive
 from calib.stages.output_guard import OutputKind
 
 DEFAULT = Path("history.sqlite")
@@ -60,19 +60,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _accepted(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "--accepted", type=_positive, metavar="N",
+        "--accepted", type=positive, metavar="N",
         help="calibrations that make the reference; default: 3",
     )  # fmt: skip
 
 
 def _index(parser: argparse.ArgumentParser) -> None:
     add_input(parser, "--index", default=DEFAULT, metavar="FILE", help=HELP)
-
-
-def _positive(text: str) -> int:
-    if not (text.isascii() and text.isdigit() and 0 < int(text) < 10**6):
-        raise argparse.ArgumentTypeError(f"{text!r}: give a whole number from 1")
-    return int(text)
 
 
 def _millimetres(text: str) -> float:
@@ -174,7 +168,10 @@ def _run_due(arguments: argparse.Namespace) -> int:
     print(f"{arguments.rig}: due on {day}, decided by the {where.name}")
     print(f"ILAC-G24:2022 / OIML D 10, {result.method}")
     if result.risk is not None:
-        print(f"probability of being out of tolerance then: {100 * result.risk:.1f} %")
+        print(
+            f"probability of being out of tolerance then: {100 * result.risk:.1f} % if it drifts "
+            "steadily; more if it also jumps (docs/history.md)"
+        )
     if result.capped:
         print(f"capped at {LONGEST} times the last interval")
     return 0

@@ -25,6 +25,7 @@ from calib.cli.arguments import (
     add_input,
     add_output,
     guard_outputs,
+    natural,
     run_folder,
 )
 from calib.core.errors import CalibError, UsageError
@@ -39,12 +40,6 @@ INTERRUPTED = 128 + signal.SIGINT
 
 # One BLAS thread: the last bits of a sum must not hang on the number of cores.
 _THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
-
-
-def _seed(text: str) -> int:
-    if not (text.isascii() and text.isdigit() and int(text) < 2**63):
-        raise argparse.ArgumentTypeError(f"{text!r}: give a whole number from 0 to 2**63 - 1")
-    return int(text)
 
 
 POSITIONS = OutputKind(
@@ -67,7 +62,7 @@ def _parser() -> argparse.ArgumentParser:
     add = commands.add_parser("calibrate", help="run the whole chain on a dataset")
     add_input(add, "dataset", metavar="DATASET", help="folder with dataset.toml")
     add_output(add, "--out", kind=RUN_FOLDER, metavar="DIR", help="default: reports/NAME")
-    add.add_argument("--seed", type=_seed, default=0, metavar="N", help="default: 0")
+    add.add_argument("--seed", type=natural, default=0, metavar="N", help="default: 0")
     add.add_argument(
         "--depths", type=float, nargs=2, metavar=("LOW", "HIGH"),
         help="range of the depth uncertainty table, mm; default: that of the rows",
@@ -93,7 +88,7 @@ def _parser() -> argparse.ArgumentParser:
 
     add = commands.add_parser("simulate", help="a dataset with known truth")
     add_output(add, "out", kind=NEW_FOLDER, metavar="OUT", help="folder to make")
-    add.add_argument("--seed", type=_seed, required=True, metavar="N")
+    add.add_argument("--seed", type=natural, required=True, metavar="N")
     add.add_argument("--images", action="store_true", help="render the whole rig's pictures")
     add.add_argument("--model", default="axis-offset", help="default: axis-offset")
     add.add_argument("--rows", type=int, default=14, metavar="N", help="gaze rows; default: 14")

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import argparse
 import sys
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from calib.cli.arguments import add_input, add_output, run_folder
+from calib.cli.arguments import add_input, add_output, natural, run_folder, whole
 from calib.stages.output_guard import RUN_FOLDER, OutputKind
 
 if TYPE_CHECKING:
@@ -23,7 +24,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="depths, mm, at which u(z) matters",
     )  # fmt: skip
     parser.add_argument(
-        "--rows", type=_count, default=6, metavar="N", help="targets to come; default: 6"
+        "--rows",
+        type=partial(whole, least=1, most=MOST_ROWS),
+        default=6,
+        metavar="N",
+        help="targets to come; default: 6",
     )
     parser.add_argument(
         "--targets", type=_positive, nargs=2, metavar=("NEAR", "FAR"),
@@ -38,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--model", default="axis-offset", help="model to learn; default: axis-offset"
     )
     parser.add_argument(
-        "--seed", type=_natural, default=0, metavar="N",
+        "--seed", type=natural, default=0, metavar="N",
         help="of the random targets beside the advice; default: 0",
     )  # fmt: skip
     add_output(
@@ -75,18 +80,6 @@ PICTURE = OutputKind(is_folder=False, marks=(b"calib plan",))
 
 MOST_ROWS = 100
 """Beyond them nobody walks, and the search takes minutes."""
-
-
-def _count(text: str) -> int:
-    if not (text.isascii() and text.isdigit() and 1 <= int(text) <= MOST_ROWS):
-        raise argparse.ArgumentTypeError(f"{text!r}: give a whole number from 1 to {MOST_ROWS}")
-    return int(text)
-
-
-def _natural(text: str) -> int:
-    if not (text.isascii() and text.isdigit() and int(text) < 2**63):
-        raise argparse.ArgumentTypeError(f"{text!r}: give a whole number from 0 to 2**63 - 1")
-    return int(text)
 
 
 def run(arguments: argparse.Namespace) -> int:

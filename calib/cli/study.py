@@ -7,7 +7,7 @@ import shlex
 import sys
 from pathlib import Path
 
-from calib.cli.arguments import add_output
+from calib.cli.arguments import add_output, natural, positive
 from calib.stages.output_guard import OutputKind
 
 DONE, CLAIM_BROKEN = 0, 3
@@ -23,33 +23,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="default: reports/study; finished rigs there are reused",
     )  # fmt: skip
     parser.add_argument(
-        "--rigs", type=_positive, default=100, metavar="N", help="a condition; default: 100"
+        "--rigs", type=positive, default=100, metavar="N", help="a condition; default: 100"
     )
-    parser.add_argument("--seed", type=_natural, default=0, metavar="N", help="default: 0")
+    parser.add_argument("--seed", type=natural, default=0, metavar="N", help="default: 0")
     parser.add_argument(
         "--condition", action="append", metavar="NAME",
         help="a condition, or the group default, ranks, broken or all; may be repeated; "
         "default: default",
     )  # fmt: skip
     parser.add_argument(
-        "--jobs", type=_positive, default=1, metavar="N", help="processes here; default: 1"
+        "--jobs", type=positive, default=1, metavar="N", help="processes here; default: 1"
     )
     parser.add_argument("--scheduler", metavar="ADDRESS", help="work on this Dask cluster instead")
-
-
-def _natural(text: str) -> int:
-    return _whole(text, 0)
-
-
-def _positive(text: str) -> int:
-    return _whole(text, 1)
-
-
-def _whole(text: str, least: int) -> int:
-    if not (text.isascii() and text.isdigit() and least <= int(text) < 2**63):
-        wanted = f"a whole number from {least} to 2**63 - 1"
-        raise argparse.ArgumentTypeError(f"{text!r}: give {wanted}")
-    return int(text)
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -30,10 +30,10 @@ from calib.instrument.averaging import build_average
 from calib.instrument.calibrated import build_instrument, measure_validation, tabulate_depths
 from calib.instrument.evidence import gather_evidence
 from calib.results.calibration import Calibration, GazeResult
-from calib.results.manifest import run_fingerprint
 from calib.rows.from_table import ValidationRows, observe_validation
 from calib.rows.observations import Observations
 from calib.rows.repeated_readings import repetition_warning
+from calib.stages.manifest import run_fingerprint
 from calib.stages.owner import claim
 from calib.stages.store import Staged, Store, gather, given, optional, stage
 

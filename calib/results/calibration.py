@@ -13,6 +13,7 @@ import numpy as np
 
 from calib import __version__
 from calib.core.gate import Gate
+from calib.core.seal import with_digest
 from calib.fit.compare import Comparison, ModelScore
 from calib.fit.convex import ConvexFit
 from calib.fit.group_check import GroupCheck
@@ -153,8 +154,7 @@ def _document(c: Calibration) -> dict[str, Any]:
         document |= _gaze(c.gaze)
     document["gates"] = [vars(gate) for gate in c.gates]
     document["warnings"] = [*c.disagreements, *c.warnings]
-    cleaned: dict[str, Any] = _clean(document)
-    return cleaned
+    return with_digest(_clean(document))
 
 
 def _clean(value: Any) -> Any:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import gc
 import secrets
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from hashlib import sha256
@@ -57,6 +57,18 @@ def write_outputs(
         run["certificate"] = {"pdf_missing": pdf_missing}
         store.announce(f"warning: no certificate.pdf: {pdf_missing}")
     files["run.toml"] = tomli_w.dumps(run).encode()
+    write_set(out, files, fingerprint=fingerprint)
+    return tuple(out / name for name in files)
+
+
+def write_set(out: Path, files: Mapping[str, bytes], *, fingerprint: str) -> None:
+    """Write the files of a run, so that at no moment those of two runs pass for one.
+
+    Raises
+    ------
+    UsageError
+        If the folder cannot be written.
+    """
     begin_outputs(out, files)
     for name, content in files.items():
         write_bytes(out / name, content)
@@ -64,7 +76,6 @@ def write_outputs(
     for name in set(CERTIFICATES) - set(files):
         (out / name).unlink(missing_ok=True)
     end_outputs(out, fingerprint, files)
-    return tuple(out / name for name in files)
 
 
 def _beside(images: ImageResult) -> dict[str, str]:

@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, TYPE_CHECKING
 
+from calib.cli.acceptance import NAMED_FAULTS, add_acceptance, warn_of_failed
 from calib.cli.arguments import STREAM, add_input, add_output
 from calib.cli.streams import standard_input
 from calib.core.errors import InputError
@@ -21,8 +22,6 @@ if TYPE_CHECKING:
     from calib.instrument.calibration_file import Measuring
 
 DONE, NOT_ALL = 0, 3
-
-NAMED_FAULTS = 10
 
 POSITIONS = OutputKind(
     is_folder=False,
@@ -46,29 +45,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--strict", action="store_true", help="stop at the first row that cannot be measured"
     )
     add_acceptance(parser)
-
-
-def add_acceptance(parser: argparse.ArgumentParser) -> None:
-    """Add the options by which a user takes a calibration that should not be used."""
-    parser.add_argument(
-        "--accept-failed", action="store_true", help="use a calibration whose gates failed"
-    )
-    parser.add_argument(
-        "--allow-edited", action="store_true", help="use a calibration that was edited by hand"
-    )
-
-
-def warn_of_failed(name: Path, measuring: Measuring, *, accepted: bool) -> bool:
-    """Say on stderr which checks of a calibration failed; return whether the user minds."""
-    if not measuring.failed_gates or accepted:
-        return False
-    for gate in measuring.failed_gates[:NAMED_FAULTS]:
-        print(f"calib: {name}: gate {gate.name} FAILED: {gate.detail}", file=sys.stderr)
-    print(
-        f"calib: {name}: must not be used; mend what its report names, or --accept-failed",
-        file=sys.stderr,
-    )
-    return True
 
 
 def run(arguments: argparse.Namespace) -> int:

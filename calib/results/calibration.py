@@ -36,6 +36,7 @@ from calib.results.fits_document import (
 from calib.results.identifiability_document import identifiability_document
 from calib.results.images_document import images_document
 from calib.rows.observations import Observations
+from calib.rows.sketch import RowSketch
 from calib.uncertainty.evidence import Evidence
 from calib.uncertainty.measurement import Instrument, SharedErrors, Spread
 from calib.uncertainty.montecarlo import NORMAL_FACTOR
@@ -109,6 +110,8 @@ class Calibration:
         What must hold before the result may be used.
     warnings
         What the reader should know and no gate covers.
+    rows
+        Of the gaze rows, by which runs see whether they share some.
     disagreements
         References that contradict the measured depths: no fault of the calibration alone, and
         more than its reader may overlook.
@@ -123,6 +126,7 @@ class Calibration:
     gaze: GazeResult | None
     gates: tuple[Gate, ...]
     warnings: tuple[str, ...]
+    rows: RowSketch | None = None
     disagreements: tuple[str, ...] = ()
 
     @property
@@ -146,7 +150,7 @@ def _document(c: Calibration) -> dict[str, Any]:
     document: dict[str, Any] = {
         "format": FORMAT,
         "generator": f"calib {__version__}",
-        "dataset": {"name": c.name, "sha256": c.sha256},
+        "dataset": {"name": c.name, "sha256": c.sha256} | _rows(c.rows),
         "seed": c.seed,
     }
     document |= images_document(c.cameras, c.images)
@@ -155,6 +159,10 @@ def _document(c: Calibration) -> dict[str, Any]:
     document["gates"] = [vars(gate) for gate in c.gates]
     document["warnings"] = [*c.disagreements, *c.warnings]
     return with_digest(_clean(document))
+
+
+def _rows(rows: RowSketch | None) -> dict[str, Any]:
+    return {} if rows is None else {"rows": rows.count, "rows_sketch": rows.smallest}
 
 
 def _clean(value: Any) -> Any:

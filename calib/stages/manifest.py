@@ -20,6 +20,9 @@ from calib.stages.provenance import direct_packages
 from calib.stages.store import CACHE, write_bytes
 
 MANIFEST = "manifest.json"
+FORMER = Path(CACHE) / "outputs.json"
+"""Where versions before the manifest kept their digests: what they wrote is taken as it is."""
+
 FORMAT = 1
 LIMIT_BYTES = 1_000_000
 AGAIN = "run calib calibrate again"
@@ -56,6 +59,7 @@ def begin_outputs(out: Path, names: Iterable[str]) -> None:
             )
     files = dict.fromkeys(sorted(known | set(names)))
     _write(out, {"format": FORMAT, "complete": False, "files": files})
+    (out / FORMER).unlink(missing_ok=True)
 
 
 def end_outputs(out: Path, fingerprint: str, names: Iterable[str]) -> None:
@@ -111,7 +115,7 @@ def refuse_broken(file: Path, *, edited: bool = False) -> None:
         Naming it, with the remedy.
     """
     folder = file.parent
-    if not ((folder / MANIFEST).exists() or (folder / CACHE).exists()):
+    if not _is_run(folder):
         return
     document = _document(folder / MANIFEST)
     if document is None or document.get("complete") is not True:
@@ -124,6 +128,25 @@ def refuse_broken(file: Path, *, edited: bool = False) -> None:
             "certificate beside it",
             remedy=f"{AGAIN}, or use it as it is with --allow-edited",
         )
+
+
+def refuse_broken_folder(folder: Path) -> None:
+    """Raise if a folder holds a run whose outputs are not whole and untouched.
+
+    Raises
+    ------
+    InputError
+        Naming each file.
+    """
+    if _is_run(folder) and (found := faults(folder)):
+        raise InputError(found)
+
+
+def _is_run(folder: Path) -> bool:
+    """Return whether a folder is that of a run that has a manifest, or should have one."""
+    if (folder / MANIFEST).exists():
+        return True
+    return (folder / CACHE).exists() and not (folder / FORMER).exists()
 
 
 def _files(document: Mapping[str, Any] | None) -> dict[str, Any]:

@@ -16,7 +16,7 @@ from types import ModuleType
 from calib import __version__
 from calib.cli import calibrate, check, compare, history, measure, plan, simulate, study, verify
 from calib.cli.arguments import guard_outputs
-from calib.cli.streams import open_streams, refused_output
+from calib.cli.streams import discard, open_streams, refused_output, settled, tell
 from calib.core.errors import CalibError
 
 DONE, DEFECT, REFUSED, GATE_FAILED = 0, 1, 2, 3
@@ -103,22 +103,34 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os.environ[name] = "1"
     open_streams()
     try:
+        status = _run(arguments)
+    except SystemExit as ended:
+        # Of argparse: help, version, usage.
+        status = ended.code if isinstance(ended.code, int) else REFUSED
+        if settled(status) == status:
+            raise
+        return REFUSED
+    return settled(status)
+
+
+def _run(arguments: Sequence[str] | None) -> int:
+    try:
         parsed = parser().parse_args(arguments)
         command: Callable[[argparse.Namespace], int] = parsed.run
         guard_outputs(parsed)
         status = command(parsed)
         sys.stdout.flush()
     except CalibError as error:
-        print(f"calib: {error}", file=sys.stderr)
+        tell(f"calib: {error}")
         return error.exit_status
     except BrokenPipeError:
         # The reader of our output has gone; nothing is left to be said to it.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        discard(sys.stdout)
         return DONE
     except OSError as error:
         return refused_output(error)
     except KeyboardInterrupt:
-        print("calib: interrupted; what was finished is kept and will be reused", file=sys.stderr)
+        tell("calib: interrupted; what was finished is kept and will be reused")
         return INTERRUPTED
     return status
 

@@ -15,9 +15,11 @@ def open_streams() -> None:
     """Make all three streams usable.
 
     A closed one becomes the null device: its number would else go to the next file that is opened,
-    and what is printed into that file. Characters that the encoding lacks are printed escaped.
+    and what is printed into that file. Of standard output it is open for reading alone, so that who
+    prints a result there is told that it is lost. Characters that the encoding lacks are printed
+    escaped.
     """
-    for number, mode in enumerate((os.O_RDONLY, os.O_WRONLY, os.O_WRONLY)):
+    for number, mode in enumerate((os.O_RDONLY, os.O_RDONLY, os.O_WRONLY)):
         try:
             os.fstat(number)
         except OSError:
@@ -51,6 +53,39 @@ def standard_input() -> IO[bytes]:
     return sys.stdin.buffer
 
 
+def settled(status: int) -> int:
+    """Return the exit status once all that was printed is out: that of a refusal if it cannot be.
+
+    The interpreter would else find out at its end, and say so in words of its own.
+    """
+    try:
+        sys.stdout.flush()
+    except BrokenPipeError:
+        discard(sys.stdout)
+    except OSError as error:
+        status = refused_output(error)
+    try:
+        sys.stderr.flush()
+    except OSError:
+        discard(sys.stderr)
+    return status
+
+
+def tell(line: str) -> None:
+    """Print a line on stderr, if it takes one."""
+    try:
+        print(line, file=sys.stderr, flush=True)
+    except OSError:
+        discard(sys.stderr)
+
+
+def discard(stream: TextIO) -> None:
+    """Let what is left in a stream's buffer, and what still comes, go nowhere."""
+    handle = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(handle, stream.fileno())
+    os.close(handle)
+
+
 def refused_output(error: OSError) -> int:
     """Say that an output stream took no more, return the exit status.
 
@@ -61,14 +96,9 @@ def refused_output(error: OSError) -> int:
     """
     if error.filename is not None:
         raise error
-    # What is left in the buffer would fail once more when the interpreter ends.
-    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
-    try:
-        print(
-            f"calib: standard output cannot be written ({error.strerror or error}); "
-            "free space, or write to a file with --out",
-            file=sys.stderr,
-        )
-    except OSError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
+    discard(sys.stdout)
+    tell(
+        f"calib: standard output cannot be written ({error.strerror or error}); "
+        "free space, or write to a file with --out"
+    )
     return _FULL

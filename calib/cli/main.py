@@ -13,11 +13,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from types import ModuleType
 
-from calib import __version__
 from calib.cli import calibrate, check, compare, history, measure, plan, simulate, study, verify
 from calib.cli.arguments import guard_outputs
 from calib.cli.streams import discard, open_streams, refused_output, settled, tell
 from calib.core.errors import CalibError
+from calib.core.version import __version__
 
 DONE, DEFECT, REFUSED, GATE_FAILED = 0, 1, 2, 3
 INTERRUPTED = 128 + signal.SIGINT

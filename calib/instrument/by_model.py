@@ -49,6 +49,15 @@ class Averaged:
         """Why a row could not be measured by one of the models, by its place."""
         return {i: fault for model in self.models for i, fault in model.faults.items()}
 
+    @property
+    def covariance_mm2(self) -> FloatArray:
+        """Covariance of x, y, z of each point, shape (n, 3, 3), within and between the models."""
+        total = np.zeros((len(self.ids), 3, 3))
+        for weight, model in zip(self.weights, self.models, strict=True):
+            away = model.position_mm - self.position_mm
+            total += weight * (model.covariance_mm2 + away[:, :, None] * away[:, None, :])
+        return total
+
     def length(self, start: int, end: int) -> tuple[float, float]:
         """Return the distance of two points and its standard uncertainty, mm."""
         found = np.array([model.length(start, end) for model in self.models])

@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from calib import __version__
 from calib.core.gate import Gate
 from calib.core.seal import with_digest
+from calib.core.version import __version__
 from calib.fit.compare import Comparison, ModelScore
 from calib.fit.convex import ConvexFit
 from calib.fit.group_check import GroupCheck

@@ -305,6 +305,8 @@ class _Source:
         """
         stated = np.isfinite(self.table.z_mm)
         u = np.where(stated, self._u_group(self.table.z_mm), self.seen.u_z_mm)
+        if not np.nan_to_num(u).any():
+            return depth_groups((), u)
         names = zip(stated.tolist(), self.table.groups, self.table.stereo, strict=True)
         return depth_groups([(given, g if given else s) for given, g, s in names], u)
 

@@ -21,7 +21,6 @@ from queue import Empty, SimpleQueue
 from threading import Thread
 from typing import IO, Any, NoReturn, TypeAlias
 
-import calib
 from calib.core.errors import CalibError
 from calib.stages.call import Progress
 from calib.stages.message import receive, send
@@ -106,7 +105,7 @@ def _worker(
     progress: Progress,
 ) -> Iterator[None]:
     """Keep a process at work, fed by a thread; it finds this very package and no other."""
-    here = str(Path(calib.__file__).parents[1])
+    here = str(Path(__file__).parents[2])
     search = os.pathsep.join(filter(None, (here, os.environ.get("PYTHONPATH"))))
     process = subprocess.Popen(  # noqa: S603 - no shell; this very interpreter
         # -P: not the working directory, where anything may lie.

@@ -10,7 +10,7 @@ from datetime import UTC, datetime
 from importlib.metadata import requires
 from pathlib import Path
 
-from calib import __version__
+from calib.core.version import __version__
 from calib.stages.fingerprint import package_version
 
 DISTRIBUTION = "active-gazing-calib"

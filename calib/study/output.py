@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from calib import __version__
+from calib.core.version import __version__
 from calib.stages.store import write_bytes
 from calib.study.claims import Verdict
 from calib.study.conditions import GROUPS

@@ -1,0 +1,3 @@
+"""The version, of the distribution and of whatever a run writes."""
+
+__version__ = "0.1.0"

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from calib.instrument.calibration_file import Measuring
+from calib.core.gate import Gate
+
+DONE, GATE_FAILED = 0, 3
 
 NAMED_FAULTS = 10
 """Of a kind that are named."""
@@ -24,11 +25,11 @@ def add_acceptance(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def warn_of_failed(name: Path, measuring: Measuring, *, accepted: bool) -> bool:
+def warn_of_failed(name: Path, failed: Sequence[Gate], *, accepted: bool) -> bool:
     """Say on stderr which checks of a calibration failed; return whether the user minds."""
-    if not measuring.failed_gates or accepted:
+    if not failed or accepted:
         return False
-    for gate in measuring.failed_gates[:NAMED_FAULTS]:
+    for gate in failed[:NAMED_FAULTS]:
         print(f"calib: {name}: gate {gate.name} FAILED: {gate.detail}", file=sys.stderr)
     print(
         f"calib: {name}: must not be used; mend what its report names, or --accept-failed",

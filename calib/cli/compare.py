@@ -5,11 +5,9 @@ from __future__ import annotations
 import argparse
 import sys
 
-from calib.cli.acceptance import add_acceptance, warn_of_failed
+from calib.cli.acceptance import DONE, GATE_FAILED, add_acceptance, warn_of_failed
 from calib.cli.arguments import add_input, add_output
 from calib.stages.output_guard import OutputKind
-
-DONE, GATE_FAILED = 0, 3
 
 PAGE = OutputKind(is_folder=False, marks=(b'content="calib compare"',))
 """Known by its generator."""
@@ -44,7 +42,7 @@ def run(arguments: argparse.Namespace) -> int:
         write_bytes(arguments.out, html(found).encode())
         sys.stdout.write(f"\npage: {arguments.out}\n")
     minded = [
-        warn_of_failed(path, run.measuring, accepted=False)
+        warn_of_failed(path, run.measuring.failed_gates, accepted=False)
         for path, run in zip(arguments.runs, runs, strict=True)
     ]
     return GATE_FAILED if any(minded) else DONE

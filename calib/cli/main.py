@@ -13,7 +13,18 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from types import ModuleType
 
-from calib.cli import calibrate, check, compare, history, measure, plan, simulate, study, verify
+from calib.cli import (
+    calibrate,
+    check,
+    compare,
+    export,
+    history,
+    measure,
+    plan,
+    simulate,
+    study,
+    verify,
+)
 from calib.cli.arguments import guard_outputs
 from calib.cli.streams import discard, open_streams, refused_output, settled, tell
 from calib.core.errors import CalibError
@@ -46,7 +57,10 @@ GROUPS: tuple[tuple[str, tuple[Command, ...]], ...] = (
     ),
     (
         "measure",
-        (Command("measure", measure, "3-D positions from readings and a calibration"),),
+        (
+            Command("measure", measure, "3-D positions from readings and a calibration"),
+            Command("export", export, "cameras and their pose for OpenCV, mrcal, ROS or Kalibr"),
+        ),
     ),
     (
         "plan, compare, watch",

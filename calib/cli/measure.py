@@ -55,7 +55,9 @@ def run(arguments: argparse.Namespace) -> int:
     measuring = read_calibration(arguments.calibration, allow_edited=arguments.allow_edited)
     if arguments.model != AVERAGE or arguments.sources:
         instrument_of(measuring, arguments.model)
-    refused = warn_of_failed(arguments.calibration, measuring, accepted=arguments.accept_failed)
+    refused = warn_of_failed(
+        arguments.calibration, measuring.failed_gates, accepted=arguments.accept_failed
+    )
     name = "standard input" if str(arguments.table) == STREAM else str(arguments.table)
     tally = _Tally(name, strict=arguments.strict)
     work = _lengths if arguments.lengths is not None else _positions

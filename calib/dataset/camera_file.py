@@ -1,4 +1,4 @@
-"""Finished camera models in files: mrcal's ``.cameramodel`` and OpenCV's YAML.
+"""Finished camera models in files: mrcal's ``.cameramodel``, and YAML of OpenCV, ROS and Kalibr.
 
 No text of such a file is ever evaluated: mrcal's is read as a Python literal, OpenCV's by OpenCV's
 own parser.
@@ -16,6 +16,7 @@ import numpy as np
 
 from calib.core.arrays import FloatArray
 from calib.core.errors import InputError
+from calib.dataset.camera_yaml import is_camera_yaml, read_camera_yaml
 from calib.dataset.manifest import DISTORTION_LENGTHS
 from calib.dataset.messages import shown
 from calib.geometry.camera import Camera
@@ -48,7 +49,7 @@ _NESTING = 4
 _DISTORTION_NAMES = ("distortion_coefficients", "dist_coeffs")
 
 
-def read_camera(text: str, *, name: str) -> Camera:
+def read_camera(text: str, *, name: str, camera: str = "c1") -> Camera:
     """Return the camera of a model file.
 
     Parameters
@@ -57,19 +58,23 @@ def read_camera(text: str, *, name: str) -> Camera:
         Of the whole file.
     name
         Of the file, for messages.
+    camera
+        "c1" or "c2": which camera of a Kalibr camchain with two.
 
     Raises
     ------
     InputError
-        If it is neither of the two formats, or its lens model is none of OpenCV's.
+        If it is none of the formats, or its lens model is none of OpenCV's.
     """
+    if is_camera_yaml(text):
+        return _camera(*read_camera_yaml(text, name=name, camera=camera), name)
     if text.startswith("%YAML"):
         return _opencv(text, name)
     if "lensmodel" not in text:
         _refuse(
             name,
-            "is neither a mrcal .cameramodel nor OpenCV's YAML",
-            "write it with mrcal or with cv2.FileStorage",
+            "is neither a mrcal .cameramodel nor YAML of OpenCV, ROS or Kalibr",
+            "write it with one of these",
         )
     return _mrcal(text, name)
 

@@ -279,7 +279,7 @@ class _Loading:
         if section.model is None:
             return None
         text = self._text(section.model, limit=MODEL_LIMIT_BYTES, where=where)
-        camera = read_camera(text, name=section.model)
+        camera = read_camera(text, name=section.model, camera=name)
         if section.image_size not in (None, camera.image_size):
             raise InputError.single(
                 where=f"{MANIFEST}, [cameras.{name}] image_size",

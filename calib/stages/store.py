@@ -68,6 +68,20 @@ def _cannot_write(path: Path, error: OSError) -> UsageError:
     return UsageError(f"{path}: cannot be written ({reason}); free space or choose another --out")
 
 
+def make_folder(path: Path) -> None:
+    """Make a folder for outputs, and those above it.
+
+    Raises
+    ------
+    UsageError
+        If it cannot be made.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise _cannot_write(path, error) from error
+
+
 def write_bytes(path: Path, content: bytes) -> None:
     """Write a file so that its name never stands for half of it."""
     with atomic_write(path) as temporary:

@@ -180,7 +180,8 @@ def test_yaml_without_finite_numbers() -> None:
 
 
 def test_yaml_of_another_kind() -> None:
-    assert "neither" in fault_of("image_width: 400\ncamera_matrix:\n  rows: 3\n")
+    assert "neither" in fault_of("Camera.fx: 400.0\nCamera.fy: 400.0\n")
+    assert "'distortion_coefficients'" in fault_of("image_width: 400\ncamera_matrix:\n  rows: 3\n")
 
 
 def test_six_distortion_coefficients_are_none_of_opencvs() -> None:

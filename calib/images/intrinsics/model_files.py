@@ -5,14 +5,21 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from calib.core.arrays import FloatArray
 from calib.geometry.camera import Camera, intrinsic_vector
 from calib.images.mrcal.solves import LENS_MODELS
 
 _DIGITS = 12
 
 
-def cameramodel_text(camera: Camera) -> str:
-    """Return mrcal's ``.cameramodel`` of a camera at the origin.
+def cameramodel_text(camera: Camera, *, extrinsics: FloatArray | None = None) -> str:
+    """Return mrcal's ``.cameramodel`` of a camera.
+
+    Parameters
+    ----------
+    extrinsics
+        From the reference frame to the camera's, Rodrigues vector and translation, shape (6,);
+        None for a camera at the origin.
 
     Raises
     ------
@@ -23,13 +30,15 @@ def cameramodel_text(camera: Camera) -> str:
     if count not in LENS_MODELS:
         raise ValueError(f"mrcal has no lens model with {count} of OpenCV's coefficients")
     numbers = ", ".join(f"{v:.{_DIGITS}g}" for v in intrinsic_vector(camera))
+    at = np.zeros(6) if extrinsics is None else extrinsics
+    pose = ", ".join(f"{v:.{_DIGITS}g}" for v in at)
     width, height = camera.image_size
     return (
         "{\n"
         f"    'lensmodel': '{LENS_MODELS[count]}',\n"
         "    # fx, fy, cx, cy, distortion\n"
         f"    'intrinsics': [ {numbers} ],\n"
-        "    'extrinsics': [ 0, 0, 0, 0, 0, 0 ],\n"
+        f"    'extrinsics': [ {pose} ],\n"
         f"    'imagersize': [ {width}, {height} ]\n"
         "}\n"
     )

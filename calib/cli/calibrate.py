@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from calib.cli.arguments import add_input, add_output, depth, natural, run_folder
-from calib.core.errors import UsageError
+from calib.core.errors import UsageError, harmless
 from calib.stages.interruption import interrupt_on
 from calib.stages.output_guard import RUN_FOLDER
 
@@ -45,7 +45,7 @@ def run(arguments: argparse.Namespace) -> int:
     out = run_folder(arguments.out, dataset.root, force=arguments.force)
     settings = {"seed": arguments.seed, "depths_mm": depths}
     if finished_before(out, run_fingerprint(dataset.sha256, settings)):
-        print(f"{out}: up to date, nothing has changed")
+        print(f"{harmless(str(out))}: up to date, nothing has changed")
     else:
         _run_chain(dataset, out, settings)
     text, passed = summary(out)

@@ -9,6 +9,8 @@ from typing import Any
 
 from tqdm import tqdm
 
+from calib.core.errors import harmless
+
 
 class Console:
     """Names each stage as it starts; a bar for each long one at work, on a terminal only."""
@@ -61,5 +63,5 @@ def summary(out: Path) -> tuple[str, bool]:
     failed = [gate for gate in result["gates"] if not gate["passed"]]
     lines += [f"GATE FAILED  {gate['name']}: {gate['detail']}" for gate in failed]
     lines += [f"warning: {text}" for text in result.get("warnings", [])]
-    lines.append(f"results in {out}")
+    lines.append(f"results in {harmless(str(out))}")
     return "\n".join(lines), not failed

@@ -9,6 +9,7 @@ from datetime import date
 from pathlib import Path
 
 from calib.cli.arguments import add_input, add_output, positive
+from calib.core.errors import harmless
 from calib.stages.output_guard import OutputKind
 
 DEFAULT = Path("history.sqlite")
@@ -103,10 +104,10 @@ def _run_index(arguments: argparse.Namespace) -> int:
     }
     for kind, paths in kinds.items():
         for path in paths[:SHOWN]:
-            print(f"  {kind}: {path}")
+            print(f"  {kind}: {harmless(str(path))}")
         if len(paths) > SHOWN:
             print(f"  {kind}: and {len(paths) - SHOWN} more")
-    print(f"{arguments.index}: {found.calibrations} calibrations found")
+    print(f"{harmless(str(arguments.index))}: {found.calibrations} calibrations found")
     return 0
 
 
@@ -146,7 +147,7 @@ def _run_chart(arguments: argparse.Namespace) -> int:
         )
     picture = svg(chart_figure(entries, accepted=accepted))
     write_bytes(arguments.out, picture.replace(b"<svg ", b"<svg " + MARK, 1))
-    print(f"{arguments.out}: written")
+    print(f"{harmless(str(arguments.out))}: written")
     return 0
 
 

@@ -7,7 +7,7 @@ import math
 from functools import partial
 
 from calib.cli.arguments import add_output, natural, whole
-from calib.core.errors import UsageError
+from calib.core.errors import UsageError, harmless
 from calib.stages.output_guard import OutputKind
 
 MOST_ROWS = 1_000_000
@@ -56,7 +56,7 @@ def run(arguments: argparse.Namespace) -> int:
         simulate_dataset(arguments.out, options, progress=partial(console.progress, "images"))
     finally:
         console.close()
-    print(f"{arguments.out}: written, with its truth in truth.json")
+    print(f"{harmless(str(arguments.out))}: written, with its truth in truth.json")
     return 0
 
 

@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 from calib.cli.arguments import add_input
+from calib.core.errors import harmless
 
 WHOLE, BROKEN = 0, 2
 
@@ -23,10 +24,10 @@ def run(arguments: argparse.Namespace) -> int:
     folder: Path = arguments.folder
     found = verify(folder)
     for problem in found.problems[:10]:
-        print(f"calib: {problem}", file=sys.stderr)
+        print(f"calib: {harmless(str(problem))}", file=sys.stderr)
     if found.problems:
         return BROKEN
     for line in found.lines:
         print(line)
-    print(f"{folder}: {found.files} files, whole and as the run wrote them")
+    print(f"{harmless(str(folder))}: {found.files} files, whole and as the run wrote them")
     return WHOLE

@@ -7,10 +7,25 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 
+def harmless(text: str) -> str:
+    """Return a text with its unprintable characters escaped, but for line breaks.
+
+    A file's name may hold escape sequences, which a terminal would obey.
+    """
+    if text.isprintable():
+        return text
+    return "".join(
+        c if c.isprintable() or c == "\n" else c.encode("unicode_escape").decode() for c in text
+    )
+
+
 class CalibError(Exception):
     """Base of the errors raised on purpose: a message for the user, never a traceback."""
 
     exit_status: ClassVar[int] = 2
+
+    def __str__(self) -> str:
+        return harmless(super().__str__())
 
 
 @dataclass(frozen=True)

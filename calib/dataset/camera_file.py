@@ -1,13 +1,11 @@
-"""Finished camera models in files: mrcal's ``.cameramodel``, and YAML of OpenCV, ROS and Kalibr.
+"""Finished camera models in files: mrcal's ``.cameramodel``, YAML of OpenCV, ROS, Kalibr.
 
-No text of such a file is ever evaluated: mrcal's is read as a Python literal, OpenCV's by OpenCV's
-own parser.
+No text of such a file is ever evaluated: mrcal's is read as a Python literal, YAML as text.
 """
 
 from __future__ import annotations
 
 import ast
-import math
 import re
 from collections.abc import Mapping, Sequence
 from typing import Any, Final, NoReturn
@@ -16,9 +14,11 @@ import numpy as np
 
 from calib.core.arrays import FloatArray
 from calib.core.errors import InputError
-from calib.dataset.camera_yaml import is_camera_yaml, read_camera_yaml
+from calib.dataset.kalibr_yaml import looks_like_kalibr, read_kalibr
+from calib.dataset.lens_slips import lens_fault
 from calib.dataset.manifest import DISTORTION_LENGTHS
 from calib.dataset.messages import shown
+from calib.dataset.opencv_yaml import looks_like_yaml, read_yaml_camera
 from calib.geometry.camera import Camera
 
 MODEL_LIMIT_BYTES = 64 * 1024 * 1024
@@ -46,8 +46,6 @@ _STRINGS = re.compile(r"'[^'\n]*'|\"[^\"\n]*\"|#[^\n]*")
 _PLAIN = re.compile(r"[\s\[\](){}:,.0-9eE+\-]*")
 _NESTING = 4
 
-_DISTORTION_NAMES = ("distortion_coefficients", "dist_coeffs")
-
 
 def read_camera(text: str, *, name: str, camera: str = "c1") -> Camera:
     """Return the camera of a model file.
@@ -64,17 +62,17 @@ def read_camera(text: str, *, name: str, camera: str = "c1") -> Camera:
     Raises
     ------
     InputError
-        If it is none of the formats, or its lens model is none of OpenCV's.
+        If it is in none of these formats, or its lens model is none of OpenCV's.
     """
-    if is_camera_yaml(text):
-        return _camera(*read_camera_yaml(text, name=name, camera=camera), name)
-    if text.startswith("%YAML"):
-        return _opencv(text, name)
+    if looks_like_kalibr(text):
+        return _camera(*read_kalibr(text, name=name, camera=camera), name)
+    if looks_like_yaml(text):
+        return _camera(*read_yaml_camera(text, name=name), name)
     if "lensmodel" not in text:
         _refuse(
             name,
-            "is neither a mrcal .cameramodel nor YAML of OpenCV, ROS or Kalibr",
-            "write it with one of these",
+            "is neither a mrcal .cameramodel nor OpenCV's YAML",
+            "write it with mrcal or with cv2.FileStorage",
         )
     return _mrcal(text, name)
 
@@ -114,11 +112,16 @@ def _literal(text: str, name: str) -> Mapping[str, Any]:
     if not _PLAIN.fullmatch(bare) or depth.max() > _NESTING or re.search(r"[+\-]\s*[+\-]", bare):
         _refuse(name, "is not a mrcal model", "write the file again with mrcal")
     try:
-        model = ast.literal_eval(text.strip())
+        tree = ast.parse(text.strip(), mode="eval").body
+        model = ast.literal_eval(tree)
     except (ValueError, SyntaxError, TypeError, MemoryError, RecursionError):
-        model = None
-    if not isinstance(model, dict):
+        model = tree = None
+    if not isinstance(model, dict) or not isinstance(tree, ast.Dict):
         _refuse(name, "is not a mrcal model", "write the file again with mrcal")
+    keys = [ast.literal_eval(key) for key in tree.keys if key is not None]
+    for key in model:
+        if keys.count(key) > 1:
+            _refuse(name, f"has {shown(key)} twice", "keep one of them")
     return model
 
 
@@ -132,54 +135,6 @@ def _vector(value: object, name: str, key: str) -> FloatArray:
         if np.all(np.isfinite(vector)):
             return vector
     _refuse(name, f"'{key}' is not a list of finite numbers", "write the file again")
-
-
-def _opencv(text: str, name: str) -> Camera:
-    """Return the camera of a YAML file written by cv2.FileStorage."""
-    import cv2
-
-    try:
-        storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
-        keys = storage.root().keys()
-    except (cv2.error, SystemError):
-        _refuse(name, "is not OpenCV's YAML", "write the file again with cv2.FileStorage")
-    if "fisheye_model" in keys and storage.getNode("fisheye_model").real() != 0:
-        _refuse(
-            name,
-            "is a fisheye model",
-            "calibrate with the pinhole model and rational distortion, or give images",
-        )
-    lens = next((key for key in _DISTORTION_NAMES if key in keys), _DISTORTION_NAMES[0])
-    for key in ("camera_matrix", lens, "image_width", "image_height"):
-        if key not in keys:
-            _refuse(name, f"has no '{key}'", "write the file as OpenCV's calibration sample does")
-    size = np.array([storage.getNode(key).real() for key in ("image_width", "image_height")])
-    matrix = _opencv_matrix(storage.getNode("camera_matrix"), name, "camera_matrix")
-    distortion = _opencv_matrix(storage.getNode(lens), name, lens)
-    return _camera(matrix, distortion.ravel(), size, name)
-
-
-def _opencv_matrix(node: Any, name: str, key: str) -> FloatArray:
-    """Return a matrix node; its size is looked at before OpenCV allocates it."""
-    import cv2
-
-    try:
-        matrix = node.mat() if 0 < _opencv_size(node) <= max(DISTORTION_LENGTHS) else None
-    except (cv2.error, SystemError):
-        matrix = None
-    if matrix is None or not np.all(np.isfinite(matrix)):
-        _refuse(name, f"'{key}' is not a matrix of finite numbers", "write the file again")
-    return np.asarray(matrix, dtype=np.float64)
-
-
-def _opencv_size(node: Any) -> float:
-    """Return the number of elements that a matrix node announces; OpenCV 5 knows flat arrays."""
-    sizes = node.getNode("sizes")
-    if sizes.empty():
-        sides: list[float] = [node.getNode("rows").real(), node.getNode("cols").real()]
-    else:
-        sides = [sizes.at(i).real() for i in range(min(sizes.size(), 3))]
-    return float(math.prod(sides))
 
 
 def _camera(matrix: FloatArray, distortion: FloatArray, size: FloatArray, name: str) -> Camera:
@@ -198,4 +153,7 @@ def _camera(matrix: FloatArray, distortion: FloatArray, size: FloatArray, name: 
         )
     if len(size) != 2 or not 1 <= min(size) <= max(size) <= LONGEST_SIDE_PX or np.any(size % 1):
         _refuse(name, "its image size is not two whole numbers", "check the file")
-    return Camera(matrix, distortion, (int(size[0]), int(size[1])))
+    camera = Camera(matrix, distortion, (int(size[0]), int(size[1])))
+    if fault := lens_fault(matrix, distortion.tolist(), camera.image_size):
+        _refuse(name, *fault)
+    return camera

@@ -18,6 +18,8 @@ from calib.core.arrays import BoolArray, FloatArray
 from calib.core.errors import InputError, Problem
 from calib.dataset.messages import (
     LISTED_PROBLEMS,
+    is_formula,
+    name_fault,
     refuse_if,
     row_place,
     same_in_more,
@@ -76,8 +78,9 @@ class Cells:
         """Return a column of names, None where a cell is empty; reports unprintable ones."""
         texts = self.texts(column)
         # One look at all of them: most tables are clean.
-        if text_fault("".join(texts) or "-") is not None:
-            faults = [text_fault(t) if t else None for t in texts]
+        formulas = any(is_formula(text) for text in texts)
+        if formulas or text_fault("".join(texts) or "-") is not None:
+            faults = [name_fault(t) if t else None for t in texts]
             bad = np.array([f is not None for f in faults])
             self.report(bad, column, lambda i: f"{shown(texts[i])} {faults[i]}", "write plain text")
         return tuple(t or None for t in texts)

@@ -12,6 +12,7 @@ from calib.core.errors import Problem
 from calib.dataset.cells import NAMED_ROWS
 from calib.dataset.contents import Dataset
 from calib.dataset.faults import MANIFEST
+from calib.dataset.lens_slips import lens_doubts
 from calib.dataset.manifest import CAMERAS, Gaze, Validation
 from calib.dataset.messages import nearest, row_place, shown
 from calib.dataset.tables import GazeTable, LengthTable
@@ -62,6 +63,7 @@ def doubts(dataset: Dataset) -> Iterator[str]:
                 f"the centre of a {camera.image_size[0]} x {camera.image_size[1]} image: do "
                 "matrix and image_size belong to images of one size?"
             )
+        yield from (f"[cameras.{name}]: {doubt}" for doubt in lens_doubts(camera.distortion))
     if dataset.gaze is not None:
         yield from _gaze_doubts(dataset, dataset.gaze)
 

@@ -29,7 +29,6 @@ LARGEST_STEP_DEG = 10.0
 LARGEST_U_X1C = 0.05
 LARGEST_U_Z_REL = 0.5
 SMALLEST_SQUARE_MM = 0.5
-SMALLEST_FOCAL_PX = 20.0
 SMALLEST_STEREO_BASELINE_MM = 1.0
 LARGEST_PRIOR_RAD = 0.5
 
@@ -149,8 +148,6 @@ def _camera_matrix(rows: tuple[Row3, Row3, Row3]) -> tuple[Row3, Row3, Row3]:
         refuse("is not of the form [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]", "write it in this form")
     if min(fx, fy) <= 0:
         refuse(f"fx = {fx:g}, fy = {fy:g} are not positive", "check their signs")
-    if min(fx, fy) < SMALLEST_FOCAL_PX:
-        refuse(f"fx = {fx:g}, fy = {fy:g} look like millimetres", "give it in pixels")
     return rows
 
 

@@ -160,7 +160,10 @@ class Folder:
             If the pattern leaves the folder, or a match does.
         """
         fault = path_fault(pattern)
-        if fault is None and sum(map(glob.has_magic, PurePosixPath(pattern).parts)) > WILD_PARTS:
+        parts = PurePosixPath(pattern).parts
+        if fault is None and "**" in parts:
+            fault = f"{shown(pattern)} has '**', which is no wildcard here: it would match like '*'"
+        elif fault is None and sum(map(glob.has_magic, parts)) > WILD_PARTS:
             fault = f"{shown(pattern)} has wildcards in more than {WILD_PARTS} places"
         if fault is not None:
             remedy = "give a pattern like 'intrinsics/c1/*.png', relative to the dataset folder"

@@ -37,6 +37,7 @@ from calib.dataset.fields import (
     UZRel,
     refuse,
 )
+from calib.dataset.lens_slips import lens_fault
 from calib.dataset.messages import shown, suggestion
 
 CAMERAS: Final = ("c1", "c2")
@@ -183,6 +184,9 @@ class Camera(Section):
                     f"the principal point ({centre[0]:g}, {centre[1]:g}) lies outside the image",
                     "check matrix and image_size; they must belong to images of one size",
                 )
+            slip = lens_fault(np.array(self.matrix), self.distortion or (), self.image_size)
+            if slip is not None:
+                refuse(f"matrix: {slip[0]}", slip[1])
         return self
 
 

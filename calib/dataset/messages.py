@@ -21,6 +21,7 @@ _UNPRINTABLE = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\ud800-\udfff\uff
 _INVISIBLE = re.compile(
     "[\u00ad\u061c\u180e\u200b-\u200f\u202a-\u202e\u2060-\u206f\ufe00-\ufe0f\ufeff]"
 )
+_SIGNED_NUMBER = re.compile(r"[+-][0-9][0-9A-Za-z._-]*")
 _LINE_BREAK = re.compile("[\t\n\r\u2028\u2029]")
 
 
@@ -80,6 +81,23 @@ def text_fault(text: str, *, one_line: bool = True) -> str | None:
     if one_line and _LINE_BREAK.search(text):
         return "holds a tab or a line break"
     return None
+
+
+def name_fault(text: str) -> str | None:
+    """Return what forbids `text` as a name in a table; None if nothing does.
+
+    Names are written into tables again, and spreadsheets compute a cell that is a formula.
+    """
+    if fault := text_fault(text):
+        return fault
+    return "would be a formula in a spreadsheet" if is_formula(text) else None
+
+
+def is_formula(text: str) -> bool:
+    """Return whether a spreadsheet takes a cell for a formula; signed numbers are none."""
+    return text.startswith(("=", "@")) or (
+        text.startswith(("+", "-")) and _SIGNED_NUMBER.fullmatch(text) is None and len(text) > 1
+    )
 
 
 def shortened(

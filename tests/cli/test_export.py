@@ -175,48 +175,6 @@ def test_failed_gates_reach_who_exports(tmp_path: Path, capsys: pytest.CaptureFi
     assert call(capsys, *arguments, "--out", tmp_path / "b", "--accept-failed").status == 0
 
 
-ROS = """\
-image_width: 640
-image_height: 480
-camera_name: left
-camera_matrix:
-  rows: 3
-  cols: 3
-  data: [800., 0., 320.5, 0., 810., 240.25, 0., 0., 1.]
-distortion_model: plumb_bob
-distortion_coefficients:
-  rows: 1
-  cols: 5
-  data: [-0.2, 0.05, 0.0001, -0.0002, 0.]
-"""
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "said"),
-    [
-        ("plumb_bob", "equidistant", "distortion_model 'equidistant' is not one of plumb_bob"),
-        ("plumb_bob", "fisheye", "is not one of"),
-        ("plumb_bob", "rational_polynomial", "rational_polynomial has 8 coefficients, here are 5"),
-        ("distortion_model: plumb_bob\n", "", "distortion_model None"),
-        ("image_width: 640\n", "image_width: 640\n" * 2, "'image_width' is there twice"),
-        ("image_width: 640", "image_width: wide", "'size' is not a list"),
-        ("image_width: 640", "image_width: 640.5", "image size"),
-        ("800., 0.,", ".nan, 0.,", "not a list of finite numbers"),
-        ("camera_name: left", "camera_name: &a left", "anchors"),
-        ("camera_name: left", "camera_name: " + "[" * 60_000, "nested too deep"),
-        ("camera_name: left", "camera_name: !!python/object:os.system {}", "constructor"),
-        ("camera_name: left", "camera_name: 'left", "is not plain YAML"),
-        ("data: [800.", "data: [-800.", "focal lengths"),
-        ("camera_name: left", "#" + "x" * 70_000, "too large"),
-    ],
-)  # fmt: skip
-def test_faults_of_ros_files(old: str, new: str, said: str) -> None:
-    assert read_camera(ROS, name="c1.yaml").matrix[1, 1] == 810.0
-    with pytest.raises(InputError, match=said) as told:
-        read_camera(ROS.replace(old, new, 1), name="c1.yaml")
-    assert str(told.value).startswith("c1.yaml: ")
-
-
 KALIBR = """\
 cam0:
   camera_model: pinhole

@@ -114,7 +114,7 @@ def test_lens_models_of_mrcal_that_are_opencvs(model: str, count: int) -> None:
 
 @pytest.mark.parametrize("shape", [(5, 1), (1, 5), (4, 1), (14, 1)])
 def test_distortion_of_opencv_may_lie_or_stand(shape: tuple[int, int]) -> None:
-    distortion = np.linspace(-0.1, 0.1, max(shape)).reshape(shape)
+    distortion = np.linspace(-0.01, 0.01, max(shape)).reshape(shape)
     text = opencv_yaml(MATRIX, distortion, name="distortion_coefficients")
     np.testing.assert_array_equal(read_camera(text, name="c1.yml").distortion, distortion.ravel())
 
@@ -135,6 +135,7 @@ MRCAL_FAULTS = {
     "negative focal length": ("421.71", "-421.71", "focal lengths"),
     "open bracket": ("'imagersize': [", "'imagersize': [[[[[[", "not a mrcal model"),
     "nesting": ("'imagersize': [", "'imagersize': " + 90 * "[" + 90 * "]" + ", 'a': [", "mrcal"),
+    "a key twice": ("'extrinsics'", "'imagersize': [ 4, 3,],\n    'extrinsics'", "twice"),
     "signs": ("421.71", 5000 * "-" + "1", "not a mrcal model"),
     "too long": ("# OPENCV8", "#" * LITERAL_LIMIT, "not a mrcal model"),
 }
@@ -165,6 +166,9 @@ YAML_FAULTS = {
     "endless": ("image_width: 400", "image_width: 1e400", "image size"),
     "half a pixel": ("image_width: 400", "image_width: 400.5", "image size"),
     "fisheye": ("image_width", "fisheye_model: 1\nimage_width", "fisheye"),
+    "a key twice": ("image_width: 400", "image_width: 400\nimage_width: 500", "twice"),
+    "a key of a matrix twice": ("rows: 3", "rows: 3\n   rows: 3", "twice"),
+    "itself": ("image_width: 400", "a: &a 400\nimage_width: *a", "refers to itself"),
 }
 
 
@@ -175,13 +179,152 @@ def test_yaml_fault_is_named(old: str, new: str, said: str) -> None:
     assert said in fault_of(text.replace(old, new, 1))
 
 
+DEEP = 40_000
+NESTED = {
+    "lists": "[" * DEEP + "]" * DEEP,
+    "tables": "{b: " * DEEP + "}" * DEEP,
+    "lists in lines": "\n" + "- " * DEEP + "1",
+    "keys": "a: " * DEEP + "1",
+    "indented": "\n" + "".join(f"{' ' * i}b:\n" for i in range(2000)),
+}
+
+
+@pytest.mark.parametrize("nested", NESTED.values(), ids=NESTED.keys())
+def test_deeply_nested_yaml_is_refused(nested: str) -> None:
+    """OpenCV's parser ends the process on these, one of them in 40,000 levels."""
+    text = opencv_yaml()
+    assert "c1.model" in fault_of(text.replace("image_width", f"a: {nested}\nimage_width", 1))
+
+
+def test_yaml_that_opencv_never_finishes() -> None:
+    text = f"%YAML:1.0\n---\na: !!binary |\n  {'A' * 1000}\n"
+    assert "no 'camera_matrix'" in fault_of(text)
+
+
+@pytest.mark.parametrize("seed", range(100))
+def test_damaged_yaml_is_read_or_refused(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    data = bytearray(OPENCV_4.encode())
+    for _ in range(rng.integers(1, 6)):
+        at = int(rng.integers(len(data)))
+        kind = rng.integers(3)
+        if kind == 0:
+            data[at] = int(rng.integers(1, 128))
+        elif kind == 1:
+            del data[at : at + int(rng.integers(1, 30))]
+        else:
+            start = int(rng.integers(len(data)))
+            data[at:at] = data[start : start + int(rng.integers(1, 60))]
+    try:
+        camera = read_camera(data.decode(), name="c1.model")
+    except InputError as error:
+        assert_readable(error.problems[0])
+    else:
+        assert np.isfinite(camera.matrix).all()
+        assert np.isfinite(camera.distortion).all()
+
+
+def with_model(key: str, value: str, count: int = 4) -> str:
+    text = opencv_yaml(MATRIX, np.full((count, 1), 1e-3))
+    return text.replace("image_width", f"{key}: {value}\nimage_width", 1)
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("distortion_model", "equidistant"),
+        ("distortion_model", '"fisheye"'),
+        ("distortion_model", "of_our_own"),
+        ("camera_model", "KANNALA_BRANDT"),
+        ("Camera.type", '"KannalaBrandt8"'),
+        ("model_type", "MEI"),
+        ("camera_model", "omni"),
+        ("lens_model", "LENSMODEL_SPLINED_STEREOGRAPHIC"),
+        ("distortion_type", "fov"),
+        ("projection", "equisolid"),
+    ],
+)
+def test_named_lens_model_that_is_none_of_opencvs_is_refused(key: str, value: str) -> None:
+    problem = fault_of(with_model(key, value))
+    assert key in problem
+    assert value.strip('"') in problem
+
+
+@pytest.mark.parametrize(
+    ("value", "count"), [("plumb_bob", 5), ("rational_polynomial", 8), ("radial-tangential", 4)]
+)
+def test_named_lens_model_that_is_opencvs_is_read(value: str, count: int) -> None:
+    camera = read_camera(with_model("distortion_model", value, count), name="c1.model")
+    np.testing.assert_array_equal(camera.distortion, np.full(count, 1e-3))
+
+
+def test_name_and_number_of_coefficients_disagree() -> None:
+    assert "plumb_bob" in fault_of(with_model("distortion_model", "plumb_bob", 8))
+
+
+def test_model_of_the_camera_itself_is_no_lens_model() -> None:
+    text = with_model("camera_model", "acA1300-60gm")
+    assert read_camera(text, name="c1.model").image_size == (400, 300)
+
+
+ROS = """image_width: 400
+image_height: 300
+camera_name: left
+camera_matrix:
+  rows: 3
+  cols: 3
+  data: [421.71, 0, 201.27, 0, 424.68, 155.17, 0, 0, 1]
+distortion_model: rational_polynomial
+distortion_coefficients:
+  rows: 1
+  cols: 8
+  data: [-0.3691, 0.2223, -0.0002, 0.0001, -0.1047, 0.01, 0.02, 0.03]
+rectification_matrix: {rows: 3, cols: 3, data: [1, 0, 0, 0, 1, 0, 0, 0, 1]}
+"""
+
+
+def test_camera_info_of_ros() -> None:
+    camera = read_camera(ROS, name="left.yaml")
+    np.testing.assert_array_equal(camera.matrix, MATRIX)
+    np.testing.assert_array_equal(camera.distortion, DISTORTION)
+    assert "equidistant" in fault_of(ROS.replace("rational_polynomial", "equidistant"))
+
+
+SLIPS = {
+    "exchanged": ([201.27, 0, 151.0], [0, 424.68, 199.0], [-0.3, 0.1], "exchanged"),
+    "millimetres": ([4.2, 0, 201.27], [0, 4.2, 155.17], [-0.3, 0.1], "millimetres"),
+    "MATLAB": ([421.7, 0, 201.27], [0, 424.7, 155.17], [-0.3, 0.1, -0.08, 1e-4, 2e-4], "MATLAB"),
+}
+
+
+@pytest.mark.parametrize(("first", "second", "lens", "said"), SLIPS.values(), ids=SLIPS.keys())
+def test_slip_of_hand_in_a_camera(
+    first: list[float], second: list[float], lens: list[float], said: str, tmp_path: Path
+) -> None:
+    """The same words for a file and for a matrix in the manifest."""
+    lens = lens + [0.0] * (5 - len(lens))
+    matrix = np.array([first, second, [0, 0, 1]])
+    assert said in fault_of(opencv_yaml(matrix, np.array(lens)))
+    manifest = replaced(
+        MANIFEST, "[[421.71, 0, 201.27], [0, 424.68, 155.17], [0, 0, 1]]", str(matrix.tolist())
+    )
+    manifest = replaced(manifest, "[-0.3691, 0.2223, -0.0002, 0.0001, -0.1047]", str(lens))
+    assert_problem(problems_of(write_dataset(tmp_path, manifest)), "[cameras.c1]", said)
+
+
+def test_order_of_coefficients_is_doubted_where_it_may_be_meant(tmp_path: Path) -> None:
+    lens = "[-0.3691, 0.2223, 0.0, -0.0002, 0.0001]"
+    manifest = replaced(MANIFEST, "[-0.3691, 0.2223, -0.0002, 0.0001, -0.1047]", lens)
+    (doubt,) = (w for w in load_dataset(write_dataset(tmp_path, manifest)).warnings if "k3" in w)
+    assert "MATLAB" in doubt
+
+
 def test_yaml_without_finite_numbers() -> None:
     assert "'camera_matrix' is not a matrix of finite" in fault_of(opencv_yaml(MATRIX * np.nan))
 
 
 def test_yaml_of_another_kind() -> None:
-    assert "neither" in fault_of("Camera.fx: 400.0\nCamera.fy: 400.0\n")
-    assert "'distortion_coefficients'" in fault_of("image_width: 400\ncamera_matrix:\n  rows: 3\n")
+    assert "neither" in fault_of("image_width: 400\nmatrix:\n  rows: 3\n")
 
 
 def test_six_distortion_coefficients_are_none_of_opencvs() -> None:

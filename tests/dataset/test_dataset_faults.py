@@ -194,6 +194,11 @@ FAULTS = {
         {},
         ["[cameras.c1] images", "wildcards in more than 2 places"],
     ),
+    "pattern of all folders": (
+        replaced(WITH_IMAGES, "c1/*.png", "**/*.png"),
+        {},
+        ["[cameras.c1] images", "'**'"],
+    ),
     "error of groups without groups": (
         replaced(MANIFEST, "u_z_rel = 0.002", "u_z_group_rel = 0.002"),
         {},
@@ -229,7 +234,7 @@ FAULTS = {
     "image size differs from model": (
         replaced(MANIFEST, GIVEN_CAMERA, IMAGE_CAMERA.replace("images", "model")),
         {
-            "c1___*__png": "{'lensmodel': 'LENSMODEL_PINHOLE', 'intrinsics': [9, 9, 1, 1],"
+            "c1___*__png": "{'lensmodel': 'LENSMODEL_PINHOLE', 'intrinsics': [99, 99, 1, 1],"
             " 'imagersize': [4, 3]}"
         },
         ["[cameras.c1] image_size", "(400, 300) differs from (4, 3)"],

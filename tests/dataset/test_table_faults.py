@@ -46,6 +46,8 @@ FAULTS = {
     "open quote": ("0.2635", '"0.2635', ["not CSV", "quotation"]),
     "repeated id": (ROW_2, ROW_2.replace("2", "1", 1), ["line 3 (id 1), column id", "in line 2"]),
     "empty id": (ROW_2, ROW_2[1:], ["line 3, column id", "empty"]),
+    "formula in an id": (ROW_2, "=cmd|'/C calc'!A0" + ROW_2[1:], ["column id", "formula"]),
+    "formula with a sign": (ROW_2, "+A1" + ROW_2[1:], ["column id", "'+A1'", "formula"]),
     "control character in an id": (ROW_2, "\x07" + ROW_2, ["line 3", "column id", "U+0007"]),
     "word for a number": ("486.5", "near", ["line 3 (id 2), column z_mm", "'near'", "485.9"]),
     "unit beside a number": ("486.5", "486.5 mm", ["line 3 (id 2), column z_mm", "'486.5 mm'"]),

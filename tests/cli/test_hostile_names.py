@@ -1,0 +1,62 @@
+"""Names that would act on a terminal, a spreadsheet or a reader are told or made harmless."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from command import GOOD, call, dataset
+
+from calib.core.errors import UsageError, harmless
+from calib.dataset.messages import name_fault
+
+HOSTILE = "a\x1b[31mb\x1b]0;title\x07\u202ec"
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("check", "{}"),
+        ("check", "{}/none"),
+        ("calibrate", "{}", "--out", "{}/inside"),
+        ("verify", "{}"),
+        ("compare", "{}", "{}"),
+        ("measure", "{}/none.json", "{}/gaze.csv"),
+        ("measure", "{}/gaze.csv", "{}/gaze.csv"),
+        ("simulate", "{}", "--seed", "1"),
+        ("simulate", "{}/new", "--seed", "1"),
+        ("history", "index", "{}"),
+        ("study", "--out", "{}"),
+        ("{}",),
+        ("check", "--{}"),
+    ],
+    ids=lambda a: " ".join(a[:2]) if isinstance(a, tuple) else str(a),
+)
+def test_no_escape_sequence_reaches_the_terminal(
+    arguments: tuple[str, ...],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    dataset(Path(HOSTILE), GOOD)
+    ended = call(capsys, *(a.replace("{}", HOSTILE) for a in arguments))
+    said = ended.out + ended.err
+    assert said
+    assert all(c.isprintable() or c == "\n" for c in said), repr(said)
+    assert ended.status in (0, 2)
+
+
+def test_errors_escape_what_a_terminal_obeys() -> None:
+    assert str(UsageError(f"{HOSTILE}\nnext")) == ("a\\x1b[31mb\\x1b]0;title\\x07\\u202ec\nnext")
+    assert harmless("Stück 1 測") == "Stück 1 測"
+
+
+@pytest.mark.parametrize("name", ["=1+1", "@SUM(A1)", "+A1", "-1+cmd|' /C calc'!A0", "-(2)"])
+def test_formulas_are_no_names(name: str) -> None:
+    assert name_fault(name) == "would be a formula in a spreadsheet"
+
+
+@pytest.mark.parametrize("name", ["-3", "+0.5", "-", "2-5", "-10mm", "a=b"])
+def test_signed_numbers_are_names(name: str) -> None:
+    assert name_fault(name) is None

@@ -9,6 +9,7 @@ from __future__ import annotations
 import glob
 import hashlib
 import os
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
@@ -249,6 +250,22 @@ def matches(name: str, pattern: str) -> bool:
     """Return whether a relative path matches a pattern, folder by folder."""
     parts, globs = PurePosixPath(name).parts, PurePosixPath(pattern).parts
     return len(parts) == len(globs) and all(map(fnmatchcase, parts, globs))
+
+
+def by_star(names: Iterable[str], pattern: str) -> dict[str, str]:
+    """Return names by what the stars of the pattern's file name stand for, if these differ."""
+    parts = [re.escape(part) for part in PurePosixPath(pattern).name.split("*")]
+    form = re.compile("(.*)".join(parts))
+    found: dict[str, str] = {}
+    twice: set[str] = set()
+    for name in names:
+        matched = form.fullmatch(PurePosixPath(name).name)
+        if matched is None or not matched.groups():
+            continue
+        key = "-".join(matched.groups())
+        twice |= {key} if key in found else set()
+        found[key] = name
+    return {key: name for key, name in found.items() if key not in twice}
 
 
 def decode(data: bytes, *, where: str) -> str:

@@ -19,7 +19,7 @@ from calib.dataset.checks import doubts, faults
 from calib.dataset.contents import Dataset
 from calib.dataset.corner_cache import read_cache
 from calib.dataset.faults import MANIFEST, MANIFEST_LIMIT_BYTES, parse_manifest
-from calib.dataset.folder import TABLE_LIMIT_BYTES, Folder, decode, matches, path_fault
+from calib.dataset.folder import TABLE_LIMIT_BYTES, Folder, by_star, decode, matches, path_fault
 from calib.dataset.messages import shortened, shown, text_fault
 from calib.dataset.readers import Scanned, scan_gaze, scan_lengths, scan_sweep
 from calib.geometry.board import Board
@@ -226,13 +226,21 @@ class _Loading:
     def _stereo_pairs(
         self, stereo: spec.Stereo | None, cache: Mapping[str, FloatArray]
     ) -> Mapping[str, tuple[str, str]]:
-        """Return the pairs by their common stem; an image without its partner is a warning."""
+        """Return the pairs by their common name; an image without its partner is a warning.
+
+        The name is the stem of both images, or, where no stems are common, what the stars in the
+        two patterns' file names stand for: 01 of left01.jpg and right01.jpg.
+        """
         if stereo is None or stereo.c1 is None or stereo.c2 is None:
             return MappingProxyType({})
-        sides = []
+        sides, starred = [], []
         for name, pattern in zip(spec.CAMERAS, (stereo.c1, stereo.c2), strict=True):
             where = f"{MANIFEST}, [stereo] {name}"
-            sides.append(self._by_stem(self._expand(pattern, cache, where=where), where=where))
+            images = self._expand(pattern, cache, where=where)
+            sides.append(self._by_stem(images, where=where))
+            starred.append(by_star(images, pattern))
+        if not sides[0].keys() & sides[1].keys() and starred[0].keys() & starred[1].keys():
+            sides = starred
         first, second = sides
         stems = sorted(first.keys() & second.keys())
         alone = len(first) + len(second) - 2 * len(stems)
@@ -242,7 +250,8 @@ class _Loading:
                 Problem(
                     where=f"{MANIFEST}, [stereo]",
                     what=f"no image of c1 has a partner in c2: {pair} differ in their stems",
-                    remedy="give both images of a pair the same name, in a folder for each camera",
+                    remedy="give both images of a pair the same name, in a folder for each camera, "
+                    'or patterns whose stars stand for the same: "left*.png", "right*.png"',
                 )
             )
         elif alone:

@@ -5,6 +5,7 @@ Evidence: property.
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 import time
@@ -19,6 +20,7 @@ from dataset_examples import GAZE, MANIFEST, replaced, write_dataset
 
 from calib.core.errors import InputError
 from calib.dataset.faults import parse_manifest
+from calib.dataset.folder import by_star
 from calib.dataset.load import check_dataset, load_dataset
 from calib.dataset.manifest import Manifest
 from calib.dataset.readers import read_gaze, read_lengths, read_measurements, read_sweep
@@ -343,3 +345,31 @@ def test_checking_tables_loads_no_heavy_library(tmp_path: Path) -> None:
 
 def test_good_dataset_has_no_problem(tmp_path: Path) -> None:
     assert check_dataset(image_dataset(tmp_path)) == ()
+
+
+def test_pairs_by_what_the_stars_stand_for(tmp_path: Path) -> None:
+    folder = image_dataset(tmp_path)
+    pictures = folder / "pictures"
+    pictures.mkdir()
+    for i in range(3):
+        for side, camera in (("left", "c1"), ("right", "c2")):
+            source = folder / "stereo" / camera / f"p{i}.png"
+            (pictures / f"{side}{i:02d}.png").write_bytes(source.read_bytes())
+    (pictures / "left77.png").write_bytes(source.read_bytes())
+    manifest = folder / "dataset.toml"
+    text = manifest.read_text()
+    text = text.replace("stereo/c1/*.png", "pictures/left*.png")
+    manifest.write_text(text.replace("stereo/c2/*.png", "pictures/right*.png"))
+    gaze = folder / "gaze.csv"
+    gaze.write_text(re.sub(r"\bp(\d)\b", lambda m: f"{min(int(m[1]), 2):02d}", gaze.read_text()))
+    pairs = load_dataset(folder).stereo_pairs
+    assert pairs == {
+        f"{i:02d}": (f"pictures/left{i:02d}.png", f"pictures/right{i:02d}.png") for i in range(3)
+    }
+
+
+def test_stars_that_do_not_tell_images_apart() -> None:
+    names = ["a/left1.png", "b/left1.png", "a/left2.png", "a/other.png"]
+    assert by_star(names, "*/left*.png") == {"2": "a/left2.png"}
+    assert by_star(["a/l-1-x.png"], "a/l-*-*.png") == {"1-x": "a/l-1-x.png"}
+    assert by_star(["a/left.png"], "a/left.png") == {}

@@ -21,6 +21,7 @@ from calib.cli import (
     history,
     measure,
     plan,
+    schema,
     simulate,
     study,
     verify,
@@ -53,6 +54,7 @@ GROUPS: tuple[tuple[str, tuple[Command, ...]], ...] = (
             Command("calibrate", calibrate, "run the whole chain on a dataset"),
             Command("check", check, "list every problem of a dataset; writes nothing"),
             Command("verify", verify, "are the files of a run whole and untouched?"),
+            Command("schema", schema, "JSON Schema of dataset.toml or calibration.json"),
         ),
     ),
     (

@@ -1,0 +1,327 @@
+"""calibration.json as programs may rely on it, for its JSON Schema.
+
+Parts that a dataset has no data for are absent. Lengths are mm, angles rad; covariances are in the
+units of what they are of.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from calib.geometry.parameters import PARAMETERS
+
+Vector = list[float]
+Matrix = list[list[float]]
+
+_UNITS = ", ".join(f"{p.name} ({p.meaning})" for p in PARAMETERS)
+
+
+class Part(BaseModel):
+    """A section; it holds the keys below and no others."""
+
+    model_config = ConfigDict(extra="forbid")
+
+
+class DatasetPart(Part):
+    """What was calibrated from."""
+
+    name: str
+    sha256: str = Field(description="of manifest, tables and images, names and bytes")
+    rows: int | None = Field(None, description="number of gaze rows")
+    rows_sketch: list[str] | None = Field(
+        None, description="smallest digests of the rows: by them runs see whether they share some"
+    )
+
+
+class Lens(Part):
+    """A solve of one camera's intrinsics."""
+
+    lens_model: str
+    matrix: Matrix = Field(description="px, the centre of the top-left pixel is (0, 0)")
+    distortion: Vector = Field(description="OpenCV's order")
+    image_size: tuple[int, int]
+    std: Vector | None = Field(None, description="of fx, fy, cx, cy, distortion")
+    rms_px: float | None = None
+    rejected_points: int | None = None
+    views: int | None = None
+    board_warp_mm: Vector | None = None
+
+
+class Intrinsics(Lens):
+    """The selected intrinsics of one camera."""
+
+    source: Literal["mrcal", "opencv", "given"]
+    covariance: Matrix | None = None
+    dispersion: float | None = None
+    selection: str | None = Field(None, description="why this solve was selected, in words")
+    rejected_views: list[str] | None = None
+    alternatives: dict[str, dict[str, Lens]] | None = Field(
+        None, description="all solves, by backend and lens model"
+    )
+
+
+class StereoSolve(Part):
+    """One solve of the pose."""
+
+    backend: str
+    intrinsics: str
+    pose_12: Vector = Field(description="Rodrigues vector and translation")
+    std: Vector
+    rms_px: float
+
+
+class PairTarget(Part):
+    """The target of one pair."""
+
+    pair: str
+    position_mm: Vector
+    u_z_mm: float
+
+
+class StereoPart(Part):
+    """The pose of C2 in C1's frame, C2 held at one yaw."""
+
+    source: str
+    transform_12: Matrix
+    covariance: Matrix | None
+    baseline_mm: float
+    baseline_std_mm: float | None
+    rms_px: float | None
+    pairs: int
+    alternatives: list[StereoSolve]
+    targets: list[PairTarget]
+
+
+class Estimate(Part):
+    """A value with its standard uncertainty."""
+
+    value: float
+    std: float
+
+
+class Measured(Part):
+    """Jointly measured parameters."""
+
+    names: list[str]
+    mean: Vector
+    covariance: Matrix
+
+
+class SweepPart(Part):
+    """The yaw axis by a sweep of C2 before boards at rest."""
+
+    axis_direction_c2: Vector
+    axis_foot_c2_mm: Vector
+    eccentricity_mm: Estimate
+    gaze_roll_rad: Estimate
+    encoder_scale: Estimate
+    measured: Measured
+    rms_px: float
+    images: int
+
+
+IdentifiedBy = Literal["data", "prior", "both"]
+
+
+class Parameter(Estimate):
+    """An estimated parameter."""
+
+    identified_by: IdentifiedBy | None = None
+    std_over_data_only_std: float | None = Field(None, description="robust fits")
+    q2_5: float | None = Field(None, alias="q2.5", description="posteriors, as all below")
+    q50: float | None = None
+    q97_5: float | None = Field(None, alias="q97.5")
+    ess: float | None = None
+    ess_tail: float | None = None
+    rhat: float | None = None
+
+
+class Fit(Part):
+    """A fit; NAME/linear, NAME/convex, NAME/robust or NAME/posterior."""
+
+    parameters: Annotated[dict[str, Parameter], Field(description=_UNITS)]
+    names: list[str] = Field(description="order of the covariance")
+    covariance: Matrix
+    derived: dict[str, Estimate] | None = Field(None, description="effective_baseline_mm: L_b + e")
+    residual_mrad: Vector | None = Field(None, description="angle of each row to its gaze plane")
+    sigma_mrad: float | None = None
+    outliers: list[str] | None = None
+    diagnostics: dict[str, Any] | None = None
+    converged: bool | None = Field(None, description="posteriors, as all below")
+    tau: dict[str, float] | None = None
+    draws: int | None = None
+    steps: int | None = None
+    acceptance: float | None = None
+    importance: dict[str, Any] | None = Field(
+        None, description="the same moments by importance sampling, and whether they agree"
+    )
+
+
+class Score(Part):
+    """How well one model predicts."""
+
+    model: str
+    loo: float = Field(description="expected log predictive density, leave one out, nats")
+    loo_se: float
+    aicc: float | None = None
+    bic: float
+    cv_depth_rms_rel: float | None = None
+    validation_depth_rms_rel: float | None = None
+    weight: float = Field(description="stacking")
+    averaging_weight: float
+    pareto_k_max: float
+    refitted: list[str]
+    unreliable: list[str]
+
+
+class Spread(Part):
+    """Standard deviation of a normal part and full width of a rectangular one."""
+
+    normal: float
+    width: float
+
+
+class Stated(Part):
+    """What the manifest states of readings."""
+
+    u_x1c: float
+    encoder_step_rad: float
+    u_alpha2_rad: float
+
+
+class Reading(Part):
+    """Errors of a reading."""
+
+    x1c: Spread
+    y1c: Spread
+    alpha2_rad: Spread
+    gaze_residual_rad: Spread
+
+
+class Shared(Part):
+    """Errors that readings have in common with the rows."""
+
+    names: list[str]
+    factor: Matrix
+    with_parameters: Matrix
+    sources: list[str]
+
+
+class SharedByRows(Part):
+    """Errors that the rows alone have in common."""
+
+    with_parameters: Matrix
+    sources: list[str]
+
+
+class ModelPart(Part):
+    """One model as it measures."""
+
+    model: str
+    names: list[str]
+    values: Vector
+    covariance: Matrix
+    noise_factor: float
+    factor95: float = Field(description="coverage factor of inverse depth")
+
+
+class AveragePart(ModelPart):
+    """One model in the average."""
+
+    weight: float
+    with_parameters: Matrix | None = None
+
+
+class Measurement(ModelPart):
+    """All that measuring needs, of the selected model."""
+
+    stated: Stated
+    reading: Reading
+    calibrated_depth_mm: tuple[float, float]
+    shared: Shared | None = None
+    shared_by_rows: SharedByRows | None = None
+    average: list[AveragePart] | None = None
+
+
+class Depth(Part):
+    """Depth uncertainty at one depth, for a target on C1's optical axis."""
+
+    z_mm: float
+    u_mm: float | None = Field(None, description="standard uncertainty by Monte Carlo")
+    low95_mm: float | None = None
+    high95_mm: float | None = None
+    gum_u_mm: float = Field(description="by the linear law")
+    gum_valid: bool = Field(description="verdict of JCGM 101, clause 8")
+    extrapolated: bool
+    gum_sources_mm: dict[str, float]
+
+
+class AverageDepth(Part):
+    """The same by all models together."""
+
+    z_mm: float
+    mean_mm: float
+    u_mm: float
+    low95_mm: float | None = None
+    high95_mm: float | None = None
+
+
+class ValidationRow(Part):
+    """A validation row as measured."""
+
+    id: str
+    group: str
+    x_mm: float
+    y_mm: float
+    z_mm: float
+    u_mm: float | None = None
+    low95_mm: float | None = None
+    high95_mm: float | None = None
+    reference_mm: float
+    error_rel: float
+    other_references_error_rel: dict[str, float]
+    own_angle_z_mm: dict[str, float]
+
+
+class GatePart(Part):
+    """A check of the result."""
+
+    name: str
+    passed: bool
+    detail: str
+
+
+class Integrity(Part):
+    """By which an edit is noticed."""
+
+    sha256: str = Field(
+        description="of the document without this section, as compact JSON with sorted keys"
+    )
+
+
+class Document(Part):
+    """The result of a calibration, for programs."""
+
+    format: Literal[1]
+    generator: str
+    dataset: DatasetPart
+    seed: int
+    intrinsics: dict[Literal["c1", "c2"], Intrinsics] | None = None
+    stereo: StereoPart | None = None
+    sweep: SweepPart | None = None
+    fits: dict[str, Fit] | None = None
+    identifiability: dict[str, dict[str, Any]] | None = None
+    comparison: list[Score] | None = None
+    selected: str | None = None
+    selection_rule: str | None = None
+    measurement: Measurement | None = None
+    depth_uncertainty: list[Depth] | None = None
+    depth_uncertainty_average: list[AverageDepth] | None = None
+    validation: list[ValidationRow] | None = None
+    validation_summary: dict[str, dict[str, float]] | None = None
+    not_fitted: dict[str, str] | None = None
+    gates: list[GatePart]
+    warnings: list[str]
+    integrity: Integrity

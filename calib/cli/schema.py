@@ -13,7 +13,7 @@ FILES = ("dataset", "calibration")
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     parser.add_argument(
-        "of", metavar="FILE", choices=FILES, help="dataset.toml or calibration.json"
+        "of", metavar="WHAT", choices=FILES, help="dataset.toml or calibration.json"
     )
 
 

@@ -267,7 +267,7 @@ def _validation(
             given("validation", table),
             setup,
             optional(seen),
-            own_origin=stated is not None and stated.z_from is not None,
+            own_origin=stated is not None and stated.origin is not None,
         )
     )
     return rows if rows.failed is None else None

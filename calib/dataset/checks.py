@@ -73,7 +73,7 @@ def _gaze_doubts(dataset: Dataset, gaze: GazeTable) -> Iterator[str]:
     if stated is not None and "u_x1c" not in stated.model_fields_set and not by_image:
         yield f"[gaze] states no u_x1c: {stated.u_x1c:g} is assumed (0.1 px at f = 500 px)"
     known = gaze.z_mm[~np.isnan(gaze.z_mm)]
-    if len(known) and stated is not None and stated.z_from is None:
+    if len(known) and stated is not None and stated.origin is None:
         yield (
             "[gaze] does not say from where z_mm counts: that is found from the rows, and depths "
             "from C1's optical centre are less certain for it. Measure it and state z_from, for "
@@ -179,7 +179,7 @@ def _origin_of_mixed_depths(dataset: Dataset) -> Iterator[Problem]:
     if gaze is None or stated is None:
         return
     known = ~np.isnan(gaze.z_mm)
-    certain = stated.z_from is not None and ahead_of_c1(stated.z_from)[1] == 0
+    certain = stated.origin is not None and ahead_of_c1(stated.z_from)[1] == 0
     if known.any() and any(gaze.stereo) and not certain:
         yield Problem(
             where=f"{MANIFEST}, [gaze] z_from",

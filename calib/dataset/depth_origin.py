@@ -38,6 +38,20 @@ def _known_form(value: object) -> object:
 DepthOrigin = Annotated[Literal["c1"] | Ahead, BeforeValidator(_known_form)]
 
 
+_CALIBRATED = ("stereo", "image pair")
+"""Words of a reference whose depths come from a calibrated C1, and so count from its centre."""
+
+
+def origin_of(stated: Literal["c1"] | Ahead | None, reference: str) -> Literal["c1"] | Ahead | None:
+    """Return from where depths count: as stated, or as the name of the reference implies.
+
+    None where neither says it.
+    """
+    if stated is None and any(word in reference.lower() for word in _CALIBRATED):
+        return "c1"
+    return stated
+
+
 def ahead_of_c1(origin: Literal["c1"] | Ahead | None) -> tuple[float, float]:
     """Return how far in front of C1's optical centre depths count from, and its uncertainty, mm."""
     return (origin.ahead_of_c1_mm, origin.u_mm) if isinstance(origin, Ahead) else (0.0, 0.0)

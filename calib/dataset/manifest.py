@@ -11,7 +11,7 @@ from typing import Final, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from calib.dataset.depth_origin import DepthOrigin
+from calib.dataset.depth_origin import DepthOrigin, origin_of
 from calib.dataset.fields import (
     AngleDeg,
     CameraMatrix,
@@ -247,6 +247,11 @@ class Gaze(Section):
     u_z_group_mm: NotNegative = 0.0
     u_z_group_rel: UZRel = 0.0
 
+    @property
+    def origin(self) -> DepthOrigin | None:
+        """From where z_mm counts; None where nothing says it."""
+        return origin_of(self.z_from, self.reference)
+
 
 class Validation(Section):
     """Rows that are never used to fit; `reference` says what their z_mm is.
@@ -261,6 +266,11 @@ class Validation(Section):
     u_z_rel: UZRel = 0.0
     u_z_group_mm: NotNegative = 0.0
     u_z_group_rel: UZRel = 0.0
+
+    @property
+    def origin(self) -> DepthOrigin | None:
+        """From where z_mm counts; None where nothing says it."""
+        return origin_of(self.z_from, self.reference)
 
 
 class Table(Section):

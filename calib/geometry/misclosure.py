@@ -3,9 +3,9 @@ r"""How far rows miss the gaze plane, and what depth does when anything changes:
 The misclosure of a row whose depth z is known is :math:`F = (n \cdot p + e) / z - n \cdot r`, in
 the notation of `calib.geometry.plane`. A reference depth z that counts from o in front of C1's
 centre is the depth z + o: then :math:`F = (n \cdot p + e - o\, n \cdot r) / z - n \cdot r`, the
-same but for the factor (z + o) / z, and linear in o. F = 0 defines depth, so that depth's derivatives follow
-from those of F (there o = 0); for a target off C2's centre column n and e are those of its own
-plane there. Lengths in mm, angles in rad.
+same but for the factor (z + o) / z, and linear in o. F = 0 defines depth, so that depth's
+derivatives follow from those of F (there o = 0); for a target off C2's centre column n and e are
+those of its own plane there. Lengths in mm, angles in rad.
 """
 
 from __future__ import annotations

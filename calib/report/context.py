@@ -85,7 +85,7 @@ def report_context(dataset: Dataset, made: Provenance) -> ReportContext:
 def _priors(m: Manifest) -> dict[str, tuple[float, float]]:
     """Return the priors that the manifest states, that of where z_mm counts from among them."""
     priors = {name: (prior.mean, prior.std) for name, prior in m.priors.items()}
-    u_origin = 0.0 if m.gaze is None else ahead_of_c1(m.gaze.z_from)[1]
+    u_origin = 0.0 if m.gaze is None else ahead_of_c1(m.gaze.origin)[1]
     return priors | ({REFERENCE_OFFSET: (0.0, u_origin)} if u_origin > 0 else {})
 
 

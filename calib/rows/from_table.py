@@ -95,7 +95,7 @@ def row_settings(dataset: Dataset) -> RowSettings:
         u_alpha2_rad=float(np.deg2rad(encoder.u_alpha2_deg)),
         u_z_group_mm=gaze.u_z_group_mm,
         u_z_group_rel=gaze.u_z_group_rel,
-        z_ahead_mm=ahead_of_c1(gaze.z_from)[0],
+        z_ahead_mm=ahead_of_c1(gaze.origin)[0],
     )
 
 
@@ -109,8 +109,8 @@ def row_priors(dataset: Dataset) -> dict[str, tuple[float, float]]:
     stated, table = dataset.manifest.gaze, dataset.gaze
     if stated is None or table is None or np.isnan(table.z_mm).all():
         return priors
-    if stated.z_from is not None:
-        u = ahead_of_c1(stated.z_from)[1]
+    if stated.origin is not None:
+        u = ahead_of_c1(stated.origin)[1]
         return priors | ({REFERENCE_OFFSET: (0.0, u)} if u > 0 else {})
     default = PARAMETERS[INDEX[REFERENCE_OFFSET]].prior_std or 0.0
     return {REFERENCE_OFFSET: (0.0, default)} | priors
@@ -133,9 +133,9 @@ def validation_settings(dataset: Dataset) -> RowSettings:
 
 def _validation_origin(stated: Validation, settings: RowSettings) -> dict[str, float]:
     """Return from where validation depths count: as the calibration rows' unless stated."""
-    if stated.z_from is None:
+    if stated.origin is None:
         return {"z_ahead_mm": settings.z_ahead_mm}
-    ahead, u = ahead_of_c1(stated.z_from)
+    ahead, u = ahead_of_c1(stated.origin)
     return {"z_ahead_mm": ahead, "u_origin_mm": u}
 
 

@@ -46,7 +46,14 @@ AHEAD = "z_from = { ahead_of_c1_mm = 35.0, u_mm = 2.0 }"
 
 @pytest.mark.parametrize(
     ("stated", "ahead", "prior"),
-    [("", 0.0, 50.0), ('z_from = "c1"', 0.0, None), (AHEAD, 35.0, 2.0)],
+    [
+        ("", 0.0, 50.0),
+        ('z_from = "c1"', 0.0, None),
+        ('reference = "stereovision"', 0.0, None),
+        ('reference = "laser meter"', 0.0, 50.0),
+        (AHEAD, 35.0, 2.0),
+        (AHEAD + '\nreference = "stereovision"', 35.0, 2.0),
+    ],
 )
 def test_the_manifest_moves_depths_and_opens_the_offset(
     tmp_path: Path, stated: str, ahead: float, prior: float | None
@@ -57,7 +64,7 @@ def test_the_manifest_moves_depths_and_opens_the_offset(
     np.testing.assert_array_equal(rows.z_mm, found.gaze.z_mm + ahead)
     expected = {} if prior is None else {REFERENCE_OFFSET: (0.0, prior)}
     assert row_priors(found) == expected
-    assert any("from where z_mm counts" in warning for warning in found.warnings) == (stated == "")
+    assert any("from where z_mm counts" in warning for warning in found.warnings) == (prior == 50.0)
 
 
 def test_validation_counts_from_the_same_place_unless_stated(tmp_path: Path) -> None:

@@ -30,7 +30,7 @@ from calib.instrument.averaging import build_average
 from calib.instrument.calibrated import build_instrument, measure_validation, tabulate_depths
 from calib.instrument.evidence import gather_evidence
 from calib.results.calibration import Calibration, GazeResult
-from calib.rows.from_table import ValidationRows, observe_validation
+from calib.rows.from_table import ValidationRows, observe_validation, row_priors
 from calib.rows.observations import Observations
 from calib.rows.repeated_readings import repetition_warning
 from calib.rows.sketch import sketch
@@ -136,8 +136,7 @@ def _gaze_chain(
 ) -> GazeResult:
     """From gaze rows to the calibrated instrument and what it measures."""
     run = store.run
-    stated = {name: (prior.mean, prior.std) for name, prior in dataset.manifest.priors.items()}
-    priors = given("priors", Priors(stated, images.measured()))
+    priors = given("priors", Priors(row_priors(dataset), images.measured()))
     # fmt: off
     encoder_direction = run(stage("encoder direction", check_encoder_direction, rows))
     linear = run(stage("base/linear", fit_linear, rows))
@@ -258,11 +257,17 @@ def _validation(
     table = dataset.validation
     if table is None:
         return None
+    stated = dataset.manifest.validation
     setup = given("setup", validation_setup(dataset, images))
     seen = image_observations(dataset, table, store, images)
     rows = store.run(
         stage(
-            "validation rows", observe_validation, given("validation", table), setup, optional(seen)
+            "validation rows",
+            observe_validation,
+            given("validation", table),
+            setup,
+            optional(seen),
+            own_origin=stated is not None and stated.origin is not None,
         )
     )
     return rows if rows.failed is None else None

@@ -11,6 +11,7 @@ from calib.core.arrays import BoolArray, FloatArray
 from calib.core.errors import Problem
 from calib.dataset.cells import NAMED_ROWS
 from calib.dataset.contents import Dataset
+from calib.dataset.depth_origin import ahead_of_c1
 from calib.dataset.faults import MANIFEST
 from calib.dataset.lens_slips import lens_doubts
 from calib.dataset.manifest import CAMERAS, Gaze, Validation
@@ -74,6 +75,13 @@ def _gaze_doubts(dataset: Dataset, gaze: GazeTable) -> Iterator[str]:
     if stated is not None and "u_x1c" not in stated.model_fields_set and not by_image:
         yield f"[gaze] states no u_x1c: {stated.u_x1c:g} is assumed (0.1 px at f = 500 px)"
     known = gaze.z_mm[~np.isnan(gaze.z_mm)]
+    if len(known) and stated is not None and stated.origin is None:
+        yield (
+            "[gaze] does not say from where z_mm counts: that is found from the rows, and depths "
+            "from C1's optical centre are less certain for it. Measure it and state z_from, for "
+            "example { ahead_of_c1_mm = 35.0, u_mm = 2.0 } for the front of a lens, or "
+            'z_from = "c1" for depths that a camera calibration gave'
+        )
     silent = ~np.isnan(gaze.z_mm) & np.isnan(gaze.u_z_mm)
     if stated is not None and silent.any() and not any(_stated_depth(stated)):
         yield (
@@ -163,7 +171,24 @@ def _missing_sections(dataset: Dataset) -> Iterator[Problem]:
                 what=f"section {name} is missing; {' and '.join(reasons)} cannot do without",
                 remedy="add it; datasets/README.md shows one",
             )
+    yield from _origin_of_mixed_depths(dataset)
     yield from _missing_target(dataset, by_rows=uses.images_c1 or uses.images_c2)
+
+
+def _origin_of_mixed_depths(dataset: Dataset) -> Iterator[Problem]:
+    """Yield a table of which some depths count from C1 and others from an uncertain place."""
+    gaze, stated = dataset.gaze, dataset.manifest.gaze
+    if gaze is None or stated is None:
+        return
+    known = ~np.isnan(gaze.z_mm)
+    certain = stated.origin is not None and ahead_of_c1(stated.z_from)[1] == 0
+    if known.any() and any(gaze.stereo) and not certain:
+        yield Problem(
+            where=f"{MANIFEST}, [gaze] z_from",
+            what=f"is uncertain, and {gaze.file} has depths by image pairs beside z_mm",
+            remedy="state from where z_mm counts, without uncertainty (and let u_z_mm of the rows "
+            "hold it), or put these rows into a dataset of their own",
+        )
 
 
 def _missing_target(dataset: Dataset, *, by_rows: bool) -> Iterator[Problem]:

@@ -14,12 +14,13 @@ from pydantic import AfterValidator, BeforeValidator, Field
 from pydantic_core import PydanticCustomError
 
 from calib.dataset.messages import shown, suggestion, text_fault
-from calib.geometry.parameters import NAMES
+from calib.geometry.parameters import NAMES, REFERENCE_OFFSET
 
 NOISE_PRIOR: Final = "log_noise_scale"
 """Prior on the natural logarithm of the factor on the stated standard uncertainties."""
 
-PRIOR_NAMES = (*NAMES, NOISE_PRIOR)
+PRIOR_NAMES = (*(name for name in NAMES if name != REFERENCE_OFFSET), NOISE_PRIOR)
+"""From where z_mm counts is said by `z_from`."""
 
 LARGEST_IMAGE_PX = 100_000
 LARGEST_BOARD = 200

@@ -11,6 +11,7 @@ from typing import Final, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from calib.dataset.depth_origin import DepthOrigin, origin_of
 from calib.dataset.fields import (
     AngleDeg,
     CameraMatrix,
@@ -238,27 +239,42 @@ class Gaze(Section):
     """Calibration rows, and the standard uncertainties of rows that state none.
 
     `u_z_group_mm` and `u_z_group_rel` are of the error of z that rows of one group have in common,
-    beside each row's own.
+    beside each row's own. `z_from` says from where z_mm counts.
     """
 
     table: Line
     reference: Line = "not stated"
+    z_from: DepthOrigin | None = None
     u_x1c: UX1c = DEFAULT_U_X1C
     u_z_mm: NotNegative = 0.0
     u_z_rel: UZRel = 0.0
     u_z_group_mm: NotNegative = 0.0
     u_z_group_rel: UZRel = 0.0
 
+    @property
+    def origin(self) -> DepthOrigin | None:
+        """From where z_mm counts; None where nothing says it."""
+        return origin_of(self.z_from, self.reference)
+
 
 class Validation(Section):
-    """Rows that are never used to fit; `reference` says what their z_mm is."""
+    """Rows that are never used to fit; `reference` says what their z_mm is.
+
+    Where `z_from` is not given, z_mm counts from where that of the calibration rows does.
+    """
 
     table: Line
     reference: Line = "not stated"
+    z_from: DepthOrigin | None = None
     u_z_mm: NotNegative = 0.0
     u_z_rel: UZRel = 0.0
     u_z_group_mm: NotNegative = 0.0
     u_z_group_rel: UZRel = 0.0
+
+    @property
+    def origin(self) -> DepthOrigin | None:
+        """From where z_mm counts; None where nothing says it."""
+        return origin_of(self.z_from, self.reference)
 
 
 class Table(Section):

@@ -25,7 +25,7 @@ from calib.fit.posterior import Posterior, Progress, posterior_of
 from calib.fit.priors import Priors
 from calib.fit.robust import RobustFit, fit_robust
 from calib.fit.weights import averaging_weights, stacking_weights
-from calib.geometry.parameters import MODELS
+from calib.geometry.parameters import INDEX, MODELS, REFERENCE_OFFSET
 from calib.geometry.plane import depth
 from calib.rows.from_table import ValidationRows
 from calib.rows.observations import Observations
@@ -39,6 +39,12 @@ of the estimate gives about t / 2 here, so that 1 asks for t of 2.
 
 NOTICEABLY = 2.0
 """Nats that a richer model must be better by: below it AIC's users call models equal."""
+
+OFFSET_LIKE_AXIS_MM = 10.0
+"""Standard deviation of the prior of where z_mm counts from above which it can stand in for an axis
+that stands off: `base` is then not selected. Of simulated rigs with 14 rows `base` fitted one in
+eight as well by an offset of the wrong size, and depths were inside their 95 % intervals 91 % of
+the time; without it 97 %."""
 
 MAXIMUM_GROUPS = 30
 """Groups left out for the depth error; more groups are left out together, in 30 parts."""
@@ -209,7 +215,8 @@ def _compare(
                 averaging_weight=float(averaging[k]),
             )
         )
-    selected, reason = select(scores, unit)
+    offset_std = priors.stated.get(REFERENCE_OFFSET, (0.0, 0.0))[1]
+    selected, reason = select(scores, unit, base=offset_std <= OFFSET_LIKE_AXIS_MM)
     return Comparison(tuple(scores), selected, reason)
 
 
@@ -239,14 +246,25 @@ def _standard_error(pointwise: FloatArray, unit: IntArray) -> float:
     return float(np.sqrt(len(independent) * np.var(independent)))
 
 
-def select(scores: Sequence[ModelScore], unit: IntArray | None = None) -> tuple[str, str]:
+def select(
+    scores: Sequence[ModelScore], unit: IntArray | None = None, *, base: bool = True
+) -> tuple[str, str]:
     """Return the name of the model that the rule selects, and the rule with its figures.
 
     Parameters
     ----------
     unit
         Of each row, shape (n,); see `calib.fit.groups.units`. None where each is its own.
+    base
+        Whether `base` may be selected beside others; see `OFFSET_LIKE_AXIS_MM`.
     """
+    others = [score for score in scores if score.model != "base"]
+    if others and len(others) < len(scores) and not base:
+        selected, reason = select(others, unit)
+        return selected, (
+            f"{reason}; base is not considered, as an unknown origin of z_mm can stand in for an "
+            "axis that stands off (state z_from)"
+        )
     unit = np.arange(len(scores[0].pointwise)) if unit is None else unit
     best = max(scores, key=lambda s: s.loo)
     by_size = sorted(scores, key=lambda s: (len(MODELS[s.model].free), -s.loo))
@@ -303,7 +321,8 @@ def _left_out_depth_error(rows: Observations, fit: RobustFit, priors: Priors) ->
         except EstimationError:
             return None
         unseen = rows.take(out)
-        errors.append(depth(again.theta, unseen.gaze) / unseen.z_mm - 1)
+        origin = again.theta[INDEX[REFERENCE_OFFSET]]
+        errors.append(depth(again.theta, unseen.gaze) / (unseen.z_mm + origin) - 1)
     return float(np.sqrt(np.mean(np.concatenate(errors) ** 2)))
 
 
@@ -311,5 +330,5 @@ def _validation_error(fit: RobustFit, validation: ValidationRows | None) -> floa
     if validation is None:
         return None
     z = depth(fit.theta, validation.rows.gaze)[validation.depth_of]
-    error = z / validation.rows.z_mm - 1
+    error = z / validation.depth_from_c1(fit.theta) - 1
     return float(np.sqrt(np.mean(error**2)))

@@ -4,7 +4,8 @@ Without encoder terms other than its zero, the misclosure is linear in twelve pr
 says: the sines and cosines of its reading times 1/z, x1c, y1c and 1, and those four themselves.
 For m vectors and n rows it is then one (m x 12) by (12 x n) matrix product; columns that a model
 never uses are left out. Rows off C2's centre column have fifteen more, of which the standoff uses
-one, the eccentricity another and a rolled C2 the rest.
+one, the eccentricity another and a rolled C2 the rest; rows whose reference depths count from
+somewhere else than C1's centre nine more (or eighteen), the ray over z.
 
 The rows' density enters with a power, the efficiency of its tails. Their noise is nearly normal,
 the t density is there for the outliers among them; taken at its word it would make the posterior
@@ -26,7 +27,14 @@ from numpy.polynomial.polynomial import polyval
 from calib.core.arrays import BoolArray, FloatArray, IntArray
 from calib.fit.noise import LOG_SCALE_LIMIT, ROBUST, Tails, log_density, row_noise
 from calib.fit.priors import Priors, measured_of, prior_of
-from calib.geometry.parameters import INDEX, PARAMETERS, EncoderTerm, Model, embed
+from calib.geometry.parameters import (
+    INDEX,
+    PARAMETERS,
+    REFERENCE_OFFSET,
+    EncoderTerm,
+    Model,
+    embed,
+)
 from calib.geometry.plane import Axes, Frame, frame
 from calib.rows.observations import Observations
 
@@ -120,9 +128,7 @@ class LogPosterior:
 
     def _standardised(self, theta: FloatArray) -> Iterator[FloatArray]:
         """Yield the closures over sigma, shape (m, some rows), chunk by chunk."""
-        coefficients = _coefficients(
-            theta, zero_in=self._by_angles, off_centre=self.rows.off_centre
-        )
+        coefficients = self._coefficients(theta, zero_in=self._by_angles)
         step = max(1, CHUNK_ELEMENTS // len(theta))
         for start in range(0, len(self.rows), step):
             part = slice(start, min(start + step, len(self.rows)))
@@ -138,10 +144,10 @@ class LogPosterior:
 
     @cached_property
     def _used(self) -> BoolArray:
-        """Which columns of the coefficients the model ever uses, shape (12,) or (27,)."""
+        """Which columns of the coefficients the model ever uses, shape (columns,)."""
         count = len(self.model.free)
         some = embed(np.linspace(0.1, 0.3, count)[None], self.model.free)
-        coefficients = _coefficients(some, zero_in=False, off_centre=self.rows.off_centre)
+        coefficients = self._coefficients(some, zero_in=False)
         used: BoolArray = np.any(coefficients != 0, axis=0)
         if self._by_angles:
             # Sines and cosines of turned angles come of both, so that a triple stays together.
@@ -165,6 +171,11 @@ class LogPosterior:
             nought = np.zeros_like(r)
             basis += [t * q for q in place for t in beside]
             basis += [nought, nought, np.sin(r) / rows.z_mm]
+        if self._offset_open:
+            over = tuple(q / rows.z_mm for q in place[1:])
+            basis += [t * q for q in over for t in turn]
+            if rows.off_centre:
+                basis += [t * q for q in over for t in beside]
         return np.stack([b / self.sigma for b, use in zip(basis, self._used, strict=True) if use])
 
     def _by_angle(self, theta: FloatArray, coefficients: FloatArray, part: slice) -> FloatArray:
@@ -181,6 +192,18 @@ class LogPosterior:
         miss: FloatArray = cosine * along + sine * across
         miss += coefficients[:, 2::3] @ basis[2::3]
         return miss
+
+    def _coefficients(self, theta: FloatArray, *, zero_in: bool) -> FloatArray:
+        return _coefficients(
+            theta,
+            zero_in=zero_in,
+            off_centre=self.rows.off_centre,
+            offset_open=self._offset_open,
+        )
+
+    @property
+    def _offset_open(self) -> bool:
+        return REFERENCE_OFFSET in self.model.free
 
     @cached_property
     def _by_angles(self) -> bool:
@@ -224,9 +247,12 @@ def _log_product(factors: FloatArray) -> FloatArray:
     return total
 
 
-def _coefficients(theta: FloatArray, *, zero_in: bool, off_centre: bool) -> FloatArray:
+def _coefficients(
+    theta: FloatArray, *, zero_in: bool, off_centre: bool, offset_open: bool
+) -> FloatArray:
     """Return what multiplies the basis, shape (m, 12), or (m, 27) for rows off the centre column.
 
+    An open origin of the reference depths adds nine columns, and nine more off the centre column.
     Order: sine, cosine and 1 of the gaze angle, for each of 1/z, -x1c, -y1c, -1. Off the centre by
     r: sin r times sine and cosine of the reading and 1 - cos r, for each of the same; sin(r) / z
     after two empty columns. The encoder's zero is carried by the coefficients unless `zero_in` says
@@ -235,13 +261,18 @@ def _coefficients(theta: FloatArray, *, zero_in: bool, off_centre: bool) -> Floa
     f = frame(theta)
     zero = np.zeros(len(theta)) if zero_in else theta[:, INDEX["delta2_rad"]]
     columns = _triples(f, f.basis(), f.offset, zero)
+    on_ray = columns[3:]
     if off_centre:
         # cos(r) n(a) - sin(r) g(a) less n(a + r), with g the optical axis.
         x, z, y = f.axes
         cos, sin = np.cos(f.roll)[:, None], np.sin(f.roll)[:, None]
-        columns += _triples(f, ((cos - 1) * z, (1 - cos) * x, -sin * y), -f.offset, zero)
+        more = _triples(f, ((cos - 1) * z, (1 - cos) * x, -sin * y), -f.offset, zero)
+        columns = [*columns, *more]
+        on_ray = [*on_ray, *more[3:]]
         nought = np.zeros(len(theta))
         columns += [nought, nought, -f.standoff]
+    if offset_open:
+        columns = [*columns, *(f.origin * c for c in on_ray)]
     return np.stack(columns, axis=1)
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.core.arrays import FloatArray
-from calib.geometry.parameters import PARAMETERS, Model
+from calib.geometry.parameters import PARAMETERS, REFERENCE_OFFSET, Model
 
 NOISE_SCALE = "log_noise_scale"
 """Natural logarithm of the factor by which the stated uncertainties of the rows are wrong."""
@@ -49,13 +49,19 @@ class Priors:
     ----------
     stated
         (mean, standard deviation) by parameter, from the manifest; the others have the defaults
-        of `calib.geometry.parameters`. May hold `NOISE_SCALE`.
+        of `calib.geometry.parameters`. May hold `NOISE_SCALE`. `REFERENCE_OFFSET` is a parameter
+        of the rows only if it is here.
     measured
         Measured knowledge; it multiplies the prior and counts as data.
     """
 
     stated: Mapping[str, tuple[float, float]]
     measured: Measured | None = None
+
+    @property
+    def offset_open(self) -> bool:
+        """Whether it is uncertain from where the rows' reference depths are counted."""
+        return REFERENCE_OFFSET in self.stated
 
     @property
     def noise_scale(self) -> tuple[float, float]:

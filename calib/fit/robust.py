@@ -22,7 +22,14 @@ from calib.fit.priors import Priors, measured_of, prior_of
 from calib.fit.reweighting import Problem, Solution, inverse
 from calib.fit.row_sums import residuals
 from calib.fit.start import find_start, some_rows
-from calib.geometry.parameters import MODELS, STANDOFF, Model, embed, model_for
+from calib.geometry.parameters import (
+    MODELS,
+    REFERENCE_OFFSET,
+    STANDOFF,
+    Model,
+    embed,
+    model_for,
+)
 from calib.rows.observations import GROUP_SOURCE, Observations
 
 ROUGH = 1e-3
@@ -38,7 +45,7 @@ which a step leaves out or knows at its start only."""
 SPARE_ROWS = 3
 """Rows beyond the parameters: fewer leave the noise scale to its prior."""
 
-LEFT_TO_PRIOR = ("eccentricity_mm", STANDOFF)
+LEFT_TO_PRIOR = ("eccentricity_mm", STANDOFF, REFERENCE_OFFSET)
 """Parameters that gaze rows hardly ever tell from others, or at all, and therefore need no row."""
 
 MINIMUM_HEIGHT = 0.05
@@ -137,7 +144,7 @@ def fit_model(rows: Observations, priors: Priors, *, model: str) -> RobustFit:
     EstimationError
         If they cannot, with the reason.
     """
-    free = model_for(model, off_centre=rows.off_centre)
+    free = model_for(model, off_centre=rows.off_centre, offset_open=priors.offset_open)
     reason = too_much(rows, free)
     if reason is not None:
         raise EstimationError(reason)

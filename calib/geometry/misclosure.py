@@ -1,9 +1,11 @@
 r"""How far rows miss the gaze plane, and what depth does when anything changes: all derivatives.
 
 The misclosure of a row whose depth z is known is :math:`F = (n \cdot p + e) / z - n \cdot r`, in
-the notation of `calib.geometry.plane`. F = 0 defines depth, so that depth's derivatives follow from
-those of F; for a target off C2's centre column n and e are those of its own plane there. Lengths in
-mm, angles in rad.
+the notation of `calib.geometry.plane`. A reference depth z that counts from o in front of C1's
+centre is the depth z + o: then :math:`F = (n \cdot p + e - o\, n \cdot r) / z - n \cdot r`, the
+same but for the factor (z + o) / z, and linear in o. F = 0 defines depth, so that depth's
+derivatives follow from those of F (there o = 0); for a target off C2's centre column n and e are
+those of its own plane there. Lengths in mm, angles in rad.
 """
 
 from __future__ import annotations
@@ -21,14 +23,25 @@ from calib.geometry.parameters import (
     EncoderTerm,
     GazeRoll,
     PlaneOffset,
+    ReferenceOffset,
     Standoff,
 )
-from calib.geometry.plane import OBSERVABLE, Axes, Gaze, Turn, depth, frame, gaze_angle, turn_planes
+from calib.geometry.plane import (
+    OBSERVABLE,
+    Axes,
+    Frame,
+    Gaze,
+    Turn,
+    depth,
+    frame,
+    gaze_angle,
+    turn_planes,
+)
 
 
 @dataclass(frozen=True)
 class Misclosure:
-    """How far rows miss the gaze plane, F = (n . p + e) / z - n . r, with its derivatives.
+    """How far rows miss the gaze plane, F = (n . p + e - o n . r) / z - n . r, with derivatives.
 
     Parameters
     ----------
@@ -43,6 +56,30 @@ class Misclosure:
     value: FloatArray
     by_theta: FloatArray
     by_observable: FloatArray
+
+
+@dataclass(frozen=True)
+class _Arm:
+    """From targets to the yaw axis, over their depths.
+
+    Parameters
+    ----------
+    point
+        Of the axis, mm, shape (3,).
+    gaze, z
+        Rows, and their depths as stated, mm, shape (n,).
+    stretch
+        Depth z' from C1's centre over stated depth, shape (n,) or 1.
+    """
+
+    point: FloatArray
+    gaze: Gaze
+    z: FloatArray
+    stretch: FloatArray | float
+
+    @classmethod
+    def of(cls, f: Frame, gaze: Gaze, z: FloatArray) -> _Arm:
+        return cls(f.point, gaze, z, 1 + f.origin / z if f.origin else 1.0)
 
 
 @dataclass(frozen=True)
@@ -61,11 +98,11 @@ class _Direction:
         component += self.level * (y @ direction)
         return component
 
-    def on_arm(self, axes: Axes, point: FloatArray, gaze: Gaze, z: FloatArray) -> FloatArray:
-        """Return n . (point / z - r), shape (n,)."""
-        product = self.along(axes, point)
-        product /= z
-        product -= self.on_ray(axes, gaze)
+    def on_arm(self, axes: Axes, arm: _Arm) -> FloatArray:
+        """Return n . (point / z - r z' / z), shape (n,)."""
+        product = self.along(axes, arm.point)
+        product /= arm.z
+        product -= self.on_ray(axes, arm.gaze) * arm.stretch
         return product
 
     def on_ray(self, axes: Axes, gaze: Gaze) -> FloatArray:
@@ -124,7 +161,7 @@ def misclosure_value(theta: FloatArray, gaze: Gaze, z: FloatArray) -> FloatArray
     """Return the value of `misclosure` alone, shape (n,): a fifth of its work."""
     f = frame(theta)
     turn = turn_planes(gaze_angle(theta, gaze), gaze.residual, f.roll)
-    value = _Direction(turn.sine, turn.cosine, turn.level).on_arm(f.axes, f.point, gaze, z)
+    value = _Direction(turn.sine, turn.cosine, turn.level).on_arm(f.axes, _Arm.of(f, gaze, z))
     value += turn.offset(f.offset, f.standoff) / z
     return value
 
@@ -143,10 +180,11 @@ def misclosure(
         `by_theta` are in this order.
     """
     f = frame(theta)
-    axes, turned = f.axes, _Turned.at(theta, gaze, f.roll)
+    axes, turned, arm = f.axes, _Turned.at(theta, gaze, f.roll), _Arm.of(f, gaze, z)
     normal, turn = turned.normal, turned.turn
-    by_angle = turned.by_angle.on_arm(axes, f.point, gaze, z)
-    numerator = normal.along(axes, f.point) + turn.offset(f.offset, f.standoff)
+    by_angle = turned.by_angle.on_arm(axes, arm)
+    on_ray = normal.on_ray(axes, gaze)
+    numerator = normal.along(axes, f.point) + turn.offset(f.offset, f.standoff) - f.origin * on_ray
     wanted = range(len(PARAMETERS)) if parameters is None else parameters
     # Columns are contiguous: they are made, scaled and summed one by one.
     by_theta = np.empty((len(wanted), len(z))).T
@@ -160,25 +198,27 @@ def misclosure(
                 by_theta[:, column] = turn.beside / z
             case Standoff():
                 by_theta[:, column] = turn.ahead / z
+            case ReferenceOffset():
+                by_theta[:, column] = -on_ray / z
             case AxisTilt():
                 x_, z_, y_ = (f.generators[i] @ b for b in axes)
-                by_theta[:, column] = normal.on_arm((x_, z_, y_), f.point, gaze, z)
+                by_theta[:, column] = normal.on_arm((x_, z_, y_), arm)
             case GazeRoll():
-                by_theta[:, column] = turned.by_roll.on_arm(axes, f.point, gaze, z)
+                by_theta[:, column] = turned.by_roll.on_arm(axes, arm)
     x, y, _ = np.eye(3)
-    by_residual = turned.by_residual.on_arm(axes, f.point, gaze, z) if f.roll else by_angle
+    by_residual = turned.by_residual.on_arm(axes, arm) if f.roll else by_angle
     # d(e cos r - f sin r) / dr.
     by_residual = by_residual + (f.offset * turn.ahead - f.standoff * turn.beside) / z
     by_observable = np.stack(
         [
-            -normal.along(axes, x),
-            -normal.along(axes, y),
+            -normal.along(axes, x) * arm.stretch,
+            -normal.along(axes, y) * arm.stretch,
             by_angle * _reading_slope(theta, gaze),
             by_residual,
             -numerator / z**2,
         ]
     ).T
-    return Misclosure(numerator / z - normal.on_ray(axes, gaze), by_theta, by_observable)
+    return Misclosure(numerator / z - on_ray, by_theta, by_observable)
 
 
 def _reading_slope(theta: FloatArray, gaze: Gaze) -> FloatArray:
@@ -209,13 +249,20 @@ class DepthJacobian:
     by_observable: FloatArray
 
 
+_OF_ROWS_ALONE = np.array([isinstance(p.effect, ReferenceOffset) for p in PARAMETERS])
+"""Parameters that no measured depth has, shape (COUNT,)."""
+
+
 def depth_jacobian(theta: FloatArray, gaze: Gaze) -> DepthJacobian:
     """Return depths for one parameter vector, shape (COUNT,), with their derivatives.
 
     For `base` these are eqs. (10) and (12) of Xu and Wang with the full angle alpha2 + delta2.
     """
     z = depth(theta, gaze)
-    c = misclosure(theta, gaze, z)
+    measured = np.where(_OF_ROWS_ALONE, 0.0, theta)
+    c = misclosure(measured, gaze, z)
     # F(theta, q, z) = 0 defines z, so dz = -F_q dq / F_z.
     slope = -1 / c.by_observable[:, OBSERVABLE.z, None]
-    return DepthJacobian(z, slope * c.by_theta, slope * c.by_observable[:, : OBSERVABLE.z])
+    return DepthJacobian(
+        z, slope * c.by_theta * ~_OF_ROWS_ALONE, slope * c.by_observable[:, : OBSERVABLE.z]
+    )

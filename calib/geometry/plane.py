@@ -42,6 +42,7 @@ from calib.geometry.parameters import (
     EncoderTerm,
     GazeRoll,
     PlaneOffset,
+    ReferenceOffset,
     Standoff,
 )
 
@@ -145,6 +146,8 @@ class Frame:
         Signed distance from `point` to the plane of targets on the centre column, mm, shape (...).
     standoff
         C2's centre ahead of the axis along its optical axis, mm, shape (...).
+    origin
+        How far in front of C1's centre reference depths are counted from, mm, shape (...).
     """
 
     rotation: FloatArray
@@ -153,6 +156,7 @@ class Frame:
     point: FloatArray
     offset: FloatArray
     standoff: FloatArray
+    origin: FloatArray
 
     @property
     def axes(self) -> Axes:
@@ -177,7 +181,7 @@ def frame(theta: FloatArray) -> Frame:
     rotation = np.broadcast_to(np.eye(3), (*shape, 3, 3))
     generators: dict[int, FloatArray] = {}
     point, roll = np.zeros((*shape, 3)), np.zeros(shape)
-    offset, standoff = np.zeros(shape), np.zeros(shape)
+    offset, standoff, origin = np.zeros(shape), np.zeros(shape), np.zeros(shape)
     for i, parameter in enumerate(PARAMETERS):
         match parameter.effect:
             case AxisPoint(direction=direction):
@@ -186,6 +190,8 @@ def frame(theta: FloatArray) -> Frame:
                 offset = offset + theta[..., i]
             case Standoff():
                 standoff = standoff + theta[..., i]
+            case ReferenceOffset():
+                origin = origin + theta[..., i]
             case AxisTilt(about=axis):
                 if theta[..., i].any():
                     turn = _rotation(axis, theta[..., i])
@@ -196,7 +202,7 @@ def frame(theta: FloatArray) -> Frame:
                 generators[i] = _GENERATORS[axis]
             case GazeRoll():
                 roll = roll + theta[..., i]
-    return Frame(rotation, generators, roll, point, offset, standoff)
+    return Frame(rotation, generators, roll, point, offset, standoff, origin)
 
 
 @dataclass(frozen=True)

@@ -16,10 +16,11 @@ from scipy.stats import chi2, norm
 
 from calib.core.arrays import FloatArray
 from calib.geometry.misclosure import depth_jacobian
-from calib.geometry.parameters import INDEX, PARAMETERS
+from calib.geometry.parameters import INDEX, PARAMETERS, REFERENCE_OFFSET
 from calib.geometry.plane import Gaze, depth, gaze_at
 from calib.instrument.calibration_file import Measuring
 from calib.rows.sketch import RowSketch
+from calib.uncertainty.measurement import ParameterKnowledge
 
 FAMILY_RISK = 0.05
 """Chance that any change of an unchanged rig is called significant, over one pair of runs."""
@@ -69,6 +70,19 @@ class Run:
         """Names of the gates that failed: the result must not be used."""
         return tuple(gate.name for gate in self.measuring.failed_gates)
 
+    @property
+    def of_the_rig(self) -> ParameterKnowledge:
+        """The parameters, without the origin of the reference depths: that is of the rows."""
+        p = self.measuring.instrument.parameters
+        kept = [i for i, name in enumerate(p.names) if name != REFERENCE_OFFSET]
+        return ParameterKnowledge(
+            names=tuple(p.names[i] for i in kept),
+            values=p.values[kept],
+            covariance=p.covariance[np.ix_(kept, kept)],
+            degrees_of_freedom=p.degrees_of_freedom,
+            evaluation=tuple(p.evaluation[i] for i in kept),
+        )
+
     def u_at(self, z_mm: float) -> float | None:
         """Return u(z) at a depth, interpolated in the run's table; None outside of it.
 
@@ -81,7 +95,7 @@ class Run:
 
     def estimates(self) -> dict[str, tuple[float, float]]:
         """Return value and standard uncertainty by parameter, L_b + e among them."""
-        p = self.measuring.instrument.parameters
+        p = self.of_the_rig
         std = np.sqrt(np.diag(p.covariance))
         found = {n: (float(v), float(s)) for n, v, s in zip(p.names, p.values, std, strict=True)}
         pick = np.array([float(n in ("baseline_mm", "eccentricity_mm")) for n in p.names])
@@ -222,7 +236,7 @@ def _note(name: str, first: Run, other: Run) -> str:
 
 def _together(first: Run, other: Run) -> float | None:
     """Return the chi-squared p of all parameters' differences, for runs of one model."""
-    a, b = first.measuring.instrument.parameters, other.measuring.instrument.parameters
+    a, b = first.of_the_rig, other.of_the_rig
     if first.model != other.model or a.names != b.names:
         return None
     difference = b.values - a.values

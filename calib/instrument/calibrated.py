@@ -11,6 +11,7 @@ from numpy.random import SeedSequence
 from calib.core.arrays import BoolArray, FloatArray, IntArray
 from calib.fit.posterior import Posterior, Progress
 from calib.fit.robust import RobustFit
+from calib.geometry.parameters import REFERENCE_OFFSET
 from calib.geometry.plane import OBSERVABLE, Gaze, depth, gaze_at
 from calib.rows.from_table import (
     Setup,
@@ -132,6 +133,7 @@ def instrument_from_draws(
         alpha2_rad=Spread(normal=factor * setup.settings.u_alpha2_rad, width=factor * step),
         gaze_residual_rad=Spread(normal=factor * residual),
     )
+    origin = _origin(parameters)
     shared = None
     if fit.shared_names:
         shared = SharedErrors(
@@ -144,9 +146,17 @@ def instrument_from_draws(
         model=fit.model,
         instrument=Instrument(parameters, reading, shared),
         noise_factor=factor,
-        calibrated_mm=np.array([rows.z_mm.min(), rows.z_mm.max()]),
+        calibrated_mm=np.array([rows.z_mm.min(), rows.z_mm.max()]) + origin[0],
         setup=setup,
     )
+
+
+def _origin(parameters: ParameterKnowledge) -> tuple[float, float]:
+    """Return from how far in front of C1's centre z_mm was found to count, and its u, mm."""
+    if REFERENCE_OFFSET not in parameters.names:
+        return 0.0, 0.0
+    i = parameters.names.index(REFERENCE_OFFSET)
+    return float(parameters.values[i]), float(np.sqrt(parameters.covariance[i, i]))
 
 
 @dataclass(frozen=True)
@@ -283,7 +293,8 @@ def measure_validation(
         progress=progress,
     )
     z = prediction.z_mm
-    first = _agreement_with("reference", z, rows.z_mm, rows.std[:, OBSERVABLE.z])
+    reference = validation.depth_from_c1(calibrated.instrument.theta)
+    first = _agreement_with("reference", z, reference, reference_std(calibrated, validation))
     others = [
         _agreement_with(name, z, depths, np.zeros(len(rows)))
         for name, depths in validation.references.items()
@@ -292,12 +303,25 @@ def measure_validation(
         ids=rows.ids,
         groups=rows.groups,
         depth_of=source,
-        reference_mm=rows.z_mm,
+        reference_mm=reference,
         prediction=prediction,
         position_mm=np.stack([rows.x1c * z, rows.y1c * z, z], axis=1),
         own_depth_mm={name: depth(fit.theta, rows.gaze) for name, fit in fits.items()},
         errors=(first, *others),
     )
+
+
+def reference_std(calibrated: CalibratedInstrument, validation: ValidationRows) -> FloatArray:
+    """Return standard uncertainties of validation references from C1's centre, mm, shape (n,).
+
+    What is uncertain of where they count from is added as if depth did not depend on it: it does,
+    by less than the offset itself, so that agreement is judged mildly.
+    """
+    own = validation.rows.std[:, OBSERVABLE.z]
+    if not len(validation.same_origin):
+        return own
+    u_origin = _origin(calibrated.instrument.parameters)[1]
+    return np.where(validation.same_origin, np.hypot(own, u_origin), own)
 
 
 def _agreement_with(

@@ -118,7 +118,7 @@ def _checks(
     if validation is None or measured is None:
         return ()
     own = validation.depth_of == np.arange(len(validation.rows))
-    p, u_z = measured.prediction, validation.rows.std[:, OBSERVABLE.z]
+    p, u_z = measured.prediction, measured.errors[0].std_mm
     return tuple(
         check_depth(
             name=measured.ids[i],

@@ -19,7 +19,7 @@ from calib.geometry.plane import OBSERVABLE
 from calib.plan.design import Knowledge, Noise, row_vectors
 from calib.plan.field import Field, field_of
 from calib.plan.prior_knowledge import PriorKnowledge
-from calib.rows.from_table import RowSettings, row_settings
+from calib.rows.from_table import RowSettings, row_priors, row_settings
 from calib.rows.observations import Observations
 
 ASSUMED_U_Z_REL = 0.002
@@ -71,14 +71,13 @@ def prepare(
     if model not in MODELS:
         raise UsageError(f"--model {model}: unknown; choose from {', '.join(MODELS)}")
     rows = prior_knowledge.rows
-    stated = {name: (prior.mean, prior.std) for name, prior in dataset.manifest.priors.items()}
-    priors = Priors(stated, prior_knowledge.measured)
+    priors = Priors(row_priors(dataset), prior_knowledge.measured)
     settings, notes = _settings(dataset)
     if rows is None:
         knowledge = _from_priors(MODELS[model], priors, prior_knowledge.baseline_mm)
         points = np.zeros((0, 3))
     else:
-        learnt = model_for(model, off_centre=rows.off_centre)
+        learnt = model_for(model, off_centre=rows.off_centre, offset_open=priors.offset_open)
         knowledge, more = _from_rows(learnt, priors, rows)
         notes += more
         if rows.shared_names:

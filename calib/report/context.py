@@ -8,8 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.dataset.contents import Dataset
+from calib.dataset.depth_origin import ahead_of_c1
 from calib.dataset.manifest import DEFAULT_U_X1C, Gaze, Manifest, Validation
 from calib.dataset.tables import GazeTable
+from calib.geometry.parameters import REFERENCE_OFFSET
 from calib.stages.provenance import Provenance
 from calib.uncertainty.format import significant
 
@@ -74,10 +76,17 @@ def report_context(dataset: Dataset, made: Provenance) -> ReportContext:
         validation_reference=m.validation.reference if m.validation is not None else None,
         statements=tuple(_statements(dataset)),
         encoder_step_rad=None if m.encoder is None else _rad(m.encoder.resolution_deg),
-        priors={name: (prior.mean, prior.std) for name, prior in m.priors.items()},
+        priors=_priors(m),
         published={name: (known.mean, known.std) for name, known in m.published.items()},
         made=made,
     )
+
+
+def _priors(m: Manifest) -> dict[str, tuple[float, float]]:
+    """Return the priors that the manifest states, that of where z_mm counts from among them."""
+    priors = {name: (prior.mean, prior.std) for name, prior in m.priors.items()}
+    u_origin = 0.0 if m.gaze is None else ahead_of_c1(m.gaze.origin)[1]
+    return priors | ({REFERENCE_OFFSET: (0.0, u_origin)} if u_origin > 0 else {})
 
 
 def _rad(degrees: float) -> float:

@@ -7,9 +7,11 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from calib.core.arrays import FloatArray, IntArray
+from calib.core.arrays import BoolArray, FloatArray, IntArray
 from calib.core.errors import EstimationError, InputError, Problem
 from calib.dataset.contents import Dataset
+from calib.dataset.depth_origin import ahead_of_c1
+from calib.dataset.manifest import Validation
 from calib.dataset.tables import GazeTable
 from calib.geometry.camera import (
     Camera,
@@ -17,6 +19,7 @@ from calib.geometry.camera import (
     normalise_jacobian,
     project,
 )
+from calib.geometry.parameters import INDEX, PARAMETERS, REFERENCE_OFFSET
 from calib.geometry.plane import OBSERVABLE
 from calib.rows.common_errors import Shared
 from calib.rows.observations import Observations, depth_groups
@@ -58,7 +61,15 @@ class ImageObservations:
 
 @dataclass(frozen=True)
 class RowSettings:
-    """What the manifest says of the rows' uncertainties."""
+    """What the manifest says of the rows' uncertainties, and from where their z_mm counts.
+
+    Parameters
+    ----------
+    z_ahead_mm
+        z_mm counts from so far in front of C1's optical centre.
+    u_origin_mm
+        Uncertainty of that, where no parameter stands for it.
+    """
 
     u_x1c: float
     u_z_mm: float
@@ -67,6 +78,8 @@ class RowSettings:
     u_alpha2_rad: float
     u_z_group_mm: float = 0.0
     u_z_group_rel: float = 0.0
+    z_ahead_mm: float = 0.0
+    u_origin_mm: float = 0.0
 
 
 def row_settings(dataset: Dataset) -> RowSettings:
@@ -82,7 +95,25 @@ def row_settings(dataset: Dataset) -> RowSettings:
         u_alpha2_rad=float(np.deg2rad(encoder.u_alpha2_deg)),
         u_z_group_mm=gaze.u_z_group_mm,
         u_z_group_rel=gaze.u_z_group_rel,
+        z_ahead_mm=ahead_of_c1(gaze.origin)[0],
     )
+
+
+def row_priors(dataset: Dataset) -> dict[str, tuple[float, float]]:
+    """Return the priors of the manifest and that of where its calibration rows' z_mm counts from.
+
+    Mean and standard deviation by parameter. Depths by image pairs count from C1's optical centre
+    by themselves; of z_mm it must be said, else the offset is a parameter with its default prior.
+    """
+    priors = {name: (prior.mean, prior.std) for name, prior in dataset.manifest.priors.items()}
+    stated, table = dataset.manifest.gaze, dataset.gaze
+    if stated is None or table is None or np.isnan(table.z_mm).all():
+        return priors
+    if stated.origin is not None:
+        u = ahead_of_c1(stated.origin)[1]
+        return priors | ({REFERENCE_OFFSET: (0.0, u)} if u > 0 else {})
+    default = PARAMETERS[INDEX[REFERENCE_OFFSET]].prior_std or 0.0
+    return {REFERENCE_OFFSET: (0.0, default)} | priors
 
 
 def validation_settings(dataset: Dataset) -> RowSettings:
@@ -96,7 +127,16 @@ def validation_settings(dataset: Dataset) -> RowSettings:
         u_z_rel=stated.u_z_rel,
         u_z_group_mm=stated.u_z_group_mm,
         u_z_group_rel=stated.u_z_group_rel,
+        **_validation_origin(stated, settings),
     )
+
+
+def _validation_origin(stated: Validation, settings: RowSettings) -> dict[str, float]:
+    """Return from where validation depths count: as the calibration rows' unless stated."""
+    if stated.origin is None:
+        return {"z_ahead_mm": settings.z_ahead_mm}
+    ahead, u = ahead_of_c1(stated.origin)
+    return {"z_ahead_mm": ahead, "u_origin_mm": u}
 
 
 @dataclass(frozen=True)
@@ -128,11 +168,22 @@ class ValidationRows:
         For each row the place of the row whose measured depth it uses, shape (n,).
     references
         Further reference depths by name, mm, shape (n,); NaN where a row has none.
+    same_origin
+        Which of them count from where the calibration rows' z_mm does, shape (n,), so that a
+        calibration that finds that place knows more of them; shape (0,) if none.
     """
 
     rows: Observations
     depth_of: IntArray
     references: Mapping[str, FloatArray]
+    same_origin: BoolArray = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
+
+    def depth_from_c1(self, theta: FloatArray) -> FloatArray:
+        """Return first references from C1's optical centre, mm, shape (n,), as `theta` has them."""
+        if not len(self.same_origin):
+            return self.rows.z_mm
+        offset = theta[INDEX[REFERENCE_OFFSET]]
+        return np.where(self.same_origin, self.rows.z_mm + offset, self.rows.z_mm)
 
 
 def observe(
@@ -185,15 +236,26 @@ def observe(
 
 
 def observe_validation(
-    table: GazeTable, setup: Setup, image_observations: ImageObservations | None
+    table: GazeTable,
+    setup: Setup,
+    image_observations: ImageObservations | None,
+    *,
+    own_origin: bool = False,
 ) -> ValidationRows:
-    """Return validation rows: as `observe`, with whose depth each uses and further references."""
+    """Return validation rows: as `observe`, with whose depth each uses and further references.
+
+    Parameters
+    ----------
+    own_origin
+        Whether the manifest says from where their z_mm counts.
+    """
     place = {name: i for i, name in enumerate(table.ids)}
     depth_of = [i if d is None else place[d] for i, d in enumerate(table.depth_row)]
     return ValidationRows(
         rows=observe(table, setup, image_observations),
         depth_of=np.array(depth_of, dtype=np.int64),
         references=dict(table.references),
+        same_origin=np.zeros(0, dtype=np.bool_) if own_origin else np.isfinite(table.z_mm),
     )
 
 
@@ -286,9 +348,10 @@ class _Source:
         """Return the reference depths, mm."""
         table, settings, seen = self.table, self.settings, self.seen
         known = np.isfinite(table.z_mm)
-        z = np.where(known, table.z_mm, seen.z_mm)
+        z = np.where(known, table.z_mm + settings.z_ahead_mm, seen.z_mm)
         default = np.hypot(settings.u_z_mm, settings.u_z_rel * z)
         stated = np.where(np.isfinite(table.u_z_mm), table.u_z_mm, default)
+        stated = np.hypot(stated, settings.u_origin_mm)
         std = np.where(known, np.hypot(stated, self._u_group(z)), seen.u_z_mm)
         return _Part(z, std, np.where(known[:, None], 0.0, seen.z_by_common))
 

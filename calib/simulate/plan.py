@@ -114,6 +114,7 @@ def _draw_table_session(
         "gaze": {
             "table": "gaze.csv",
             "reference": "simulated",
+            "z_from": "c1",
             "u_x1c": rig.noise.pixel_px / float(rig.c1.matrix[0, 0]),
             "u_z_mm": rig.noise.z_mm,
             "u_z_rel": rig.noise.z_rel,

@@ -16,7 +16,14 @@ import numpy as np
 
 from calib.core.arrays import FloatArray
 from calib.geometry.camera import Camera
-from calib.geometry.parameters import INDEX, MODELS, PARAMETERS, STANDOFF, vector
+from calib.geometry.parameters import (
+    INDEX,
+    MODELS,
+    PARAMETERS,
+    REFERENCE_OFFSET,
+    STANDOFF,
+    vector,
+)
 from calib.geometry.plane import Gaze, frame, gaze_angle
 
 BASELINE_RANGE_MM = (60.0, 400.0)
@@ -257,7 +264,7 @@ def _draw_parameters(rng: np.random.Generator, model: str) -> dict[str, float]:
     free = MODELS[model].free
     for parameter in PARAMETERS:
         # Drawn for every model alike: the same seed gives rigs that differ in nothing else.
-        if parameter.prior_std is not None and parameter.name != STANDOFF:
+        if parameter.prior_std is not None and parameter.name not in (STANDOFF, REFERENCE_OFFSET):
             value = float(rng.normal(0, parameter.prior_std))
             if parameter.name in free:
                 drawn[parameter.name] = value

@@ -9,7 +9,7 @@ from numpy.random import SeedSequence
 
 from calib.core.arrays import FloatArray
 from calib.fit.priors import NOISE_SCALE, NOISE_SCALE_PRIOR, Priors
-from calib.geometry.parameters import PARAMETERS
+from calib.geometry.parameters import PARAMETERS, REFERENCE_OFFSET
 from calib.rows.from_table import RowSettings, Setup
 from calib.rows.observations import Observations
 from calib.simulate.rig import RESOLUTIONS_DEG, Noise, Rig, draw_rig
@@ -170,7 +170,9 @@ def _priors(condition: Condition) -> Priors:
     stated = {
         parameter.name: (0.0, condition.prior_factor * parameter.prior_std)
         for parameter in PARAMETERS
-        if parameter.prior_std is not None and condition.prior_factor != 1
+        if parameter.prior_std is not None
+        and parameter.name != REFERENCE_OFFSET
+        and condition.prior_factor != 1
     }
     if condition.from_priors:
         stated |= {

@@ -42,13 +42,13 @@ def run_trial(condition: Condition, *, seed: int, number: int) -> Record:
         bench = set_up(condition, seed=seed, number=number)
         # Streams of their own, beside those that `set_up` spawns.
         seeds = SeedSequence((seed, number, 1)).spawn(4)
-        scores: Record = _plain(_calibrated(condition, bench, seeds))
+        scores: Record = _plain(calibrated(condition, bench, seeds))
         return record | scores
     except CalibError as error:
         return record | {"failed": str(error)}
 
 
-def _calibrated(condition: Condition, bench: Bench, seeds: list[SeedSequence]) -> Record:
+def calibrated(condition: Condition, bench: Bench, seeds: list[SeedSequence]) -> Record:
     """Calibrate a bench and score it."""
     for_sampling, for_comparison, for_depths, for_table = seeds
     rng = np.random.default_rng(for_sampling)

@@ -40,10 +40,20 @@ FAULTS = {
     "value for a section": ("[certificate]", "certificate = 1\n[x]", ["certificate", "unknown"]),
     "list for a section": ("[encoder]", "[[encoder]]", ["[encoder]", "not a table"]),
     "not a number": ("25.0", "nan", ["[board] square_mm (line 9)", "finite"]),
-    "infinite": ("[0, 20]", "[0, inf]", ["[priors] axis_z_mm, item 2 (line 25)", "finite"]),
+    "infinite": ("[0, 20]", "[0, inf]", ["[priors] axis_z_mm, item 2 (line 26)", "finite"]),
     "negative step": ("0.05625", "-0.05625", ["[encoder] resolution_deg", "out of range", "above"]),
     "step in arc seconds": ("0.05625", "202.5", ["resolution_deg", "arc seconds", "degrees"]),
     "square in metres": ("25.0", "0.025", ["[board] square_mm", "metres", "millimetres"]),
+    "origin by name": (
+        'z_from = "c1"',
+        'z_from = "lens"',
+        ["[gaze] z_from", "no place", "ahead_of_c1_mm"],
+    ),
+    "origin without u": (
+        'z_from = "c1"',
+        "z_from = { ahead_of_c1_mm = 35.0 }",
+        ["[gaze] z_from", "u_mm"],
+    ),
     "per cent": ("u_z_rel = 0.002", "u_z_rel = 2", ["[gaze] u_z_rel", "per cent", "0.01"]),
     "per cent of groups": (
         "u_z_rel = 0.002",

@@ -19,7 +19,7 @@ from calib.fit.posterior import ENSEMBLES, Posterior, laplace, sample_posterior
 from calib.fit.priors import NOISE_SCALE, Measured, Priors, measured_of, prior_of
 from calib.fit.robust import RobustFit, fit_robust
 from calib.geometry.misclosure import misclosure
-from calib.geometry.parameters import MODELS, embed, model_for
+from calib.geometry.parameters import MODELS, REFERENCE_OFFSET, STANDOFF, embed, model_for
 
 
 @pytest.fixture(scope="module")
@@ -37,11 +37,17 @@ def posteriors(fits: dict[str, RobustFit]) -> dict[str, Posterior]:
     }
 
 
+@pytest.mark.parametrize("offset_open", [False, True])
 @pytest.mark.parametrize("off_centre", [False, True])
 @pytest.mark.parametrize("name", list(MODELS))
-def test_log_posterior_is_the_sum_of_its_parts(name: str, off_centre: bool) -> None:
+def test_log_posterior_is_the_sum_of_its_parts(
+    name: str, off_centre: bool, offset_open: bool
+) -> None:
     """Property: the matrix product equals row densities of `misclosure` plus priors."""
-    model, rng = model_for(name, off_centre=off_centre), np.random.default_rng(0)
+    model, rng = (
+        model_for(name, off_centre=off_centre, offset_open=offset_open),
+        np.random.default_rng(0),
+    )
     rows, theta = simulated(rng, count=17, axis_z_mm=-20.0)
     if off_centre:
         rows = replace(rows, gaze_residual_rad=rng.normal(0, 0.03, 17))
@@ -51,8 +57,9 @@ def test_log_posterior_is_the_sum_of_its_parts(name: str, off_centre: bool) -> N
     x = np.array([theta[i] for i in (*model.indices, 0)]) + 0.0
     x[-1] = 0.1
     draws = x + 1e-3 * rng.standard_normal((5, len(x)))
-    if off_centre:
-        draws[:, -2] += 30 * rng.standard_normal(5)
+    for far in (STANDOFF, REFERENCE_OFFSET):
+        if far in model.free:
+            draws[:, model.free.index(far)] += 30 * rng.standard_normal(5)
     sigma = row_noise(theta, rows).sigma
     knowledge = prior_of(model, priors) + measured_of(model, priors)
     expected = []

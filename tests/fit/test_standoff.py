@@ -12,7 +12,7 @@ from calib.fit.identifiability import identifiability
 from calib.fit.posterior import sample_posterior
 from calib.fit.priors import Priors
 from calib.fit.robust import RobustFit, fit_model
-from calib.geometry.parameters import MODELS, STANDOFF, vector
+from calib.geometry.parameters import INDEX, MODELS, STANDOFF, vector
 from calib.geometry.plane import OBSERVABLE, Gaze, depth, gaze_at
 from calib.instrument.calibrated import build_instrument
 from calib.rows.from_table import RowSettings, Setup
@@ -71,7 +71,7 @@ def test_depths_two_degrees_off_centre_are_exact(model: str, tilts: dict[str, fl
     fit = fit_model(sharp, Priors({}), model=model)
     np.testing.assert_allclose(depth(fit.theta, rows.gaze), rows.z_mm, rtol=1e-6)
     assert fit.values[fit.names.index(STANDOFF)] == pytest.approx(60.0, abs=0.05)
-    ignored = depth(fit.theta * (np.arange(len(fit.theta)) != len(fit.theta) - 1), rows.gaze)
+    ignored = depth(fit.theta * (np.arange(len(fit.theta)) != INDEX[STANDOFF]), rows.gaze)
     assert np.abs(ignored / rows.z_mm - 1).max() > 5e-3, "the standoff has nothing to explain"
 
 

@@ -28,7 +28,7 @@ points = st.builds(
 
 def general_rig() -> np.ndarray:
     """A rig on which every parameter is off neutral."""
-    values = (80, 0.02, -20, 3, 0.02, -0.03, 0.04, 0.01, 0.002, 0.003, 45)
+    values = (80, 0.02, -20, 3, 0.02, -0.03, 0.04, 0.01, 0.002, 0.003, 45, 30)
     return vector(dict(zip(NAMES, values, strict=True)))
 
 

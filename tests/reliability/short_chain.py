@@ -27,6 +27,7 @@ name = "rig"
 resolution_deg = 0.05625
 [gaze]
 table = "gaze.csv"
+z_from = "c1"
 u_x1c = 0.0002
 u_z_rel = 0.002
 [validation]

@@ -38,6 +38,7 @@ resolution_deg = {step}
 u_alpha2_deg = {noise}
 [gaze]
 table = "gaze.csv"
+z_from = "c1"
 u_x1c = {u_x1c}
 u_z_rel = {u_z_rel}
 {groups}

@@ -128,6 +128,7 @@ name = "poses"
 resolution_deg = 0.05
 [gaze]
 table = "gaze.csv"
+z_from = "c1"
 u_x1c = 0.0002
 u_z_rel = 0.001
 u_z_group_mm = 0.4

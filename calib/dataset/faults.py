@@ -62,7 +62,7 @@ def parse_manifest(data: bytes) -> Parsed:
     """Return the manifest in the bytes of a dataset.toml, or its faults; never raises."""
     try:
         text = decode(data, where=MANIFEST)
-        raw = _parse_toml(text)
+        raw = parse_toml(text, file=MANIFEST)
     except InputError as error:
         return Parsed(None, {}, error.problems)
     tables = {
@@ -73,34 +73,41 @@ def parse_manifest(data: bytes) -> Parsed:
     try:
         return Parsed(Manifest.model_validate(raw), tables, ())
     except ValidationError as error:
-        lines = _key_lines(text)
+        lines = key_lines(text)
         details = error.errors(include_url=False)
         problems = [_translate(d, lines) for d in details[:LISTED_PROBLEMS]]
         return Parsed(None, tables, shortened(problems, where=MANIFEST, total=len(details)))
 
 
-def _parse_toml(text: str) -> dict[str, Any]:
+def parse_toml(text: str, *, file: str) -> dict[str, Any]:
+    """Return what a TOML text says; `file` is its name, for messages.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read, with the line.
+    """
     for number, line in enumerate(text.splitlines(), start=1):
         if len(line) > LINE_LIMIT:
             raise InputError.single(
-                where=f"{MANIFEST}, line {number}",
+                where=f"{file}, line {number}",
                 what=f"is {len(line)} characters long",
                 remedy=f"break it into lines of at most {LINE_LIMIT}",
             )
     try:
         return tomllib.loads(text)
     except (tomllib.TOMLDecodeError, RecursionError, ValueError) as error:
-        raise _syntax_error(text, str(error)) from error
+        raise _syntax_error(text, str(error), file) from error
 
 
-def _syntax_error(text: str, message: str) -> InputError:
+def _syntax_error(text: str, message: str, file: str) -> InputError:
     """Return what is wrong with TOML that cannot be read, with the line it is in."""
-    what, where = message, MANIFEST
+    what, where = message, file
     if place := re.search(r" \(at line (\d+), column \d+\)$", message):
         number = int(place[1])
         line = text.replace("\r\n", "\n").split("\n")[number - 1]
         what = f"{message[: place.start()]} in {shown(line.strip())}"
-        where = f"{MANIFEST}, line {number}"
+        where = f"{file}, line {number}"
     return InputError.single(
         where=where,
         what=f"is not TOML: {what}",
@@ -114,7 +121,7 @@ _KEY = re.compile(r"[\w\"'.\- ]+")
 _PLAIN_KEY = re.compile(r"[A-Za-z0-9_-]{1,60}")
 
 
-def _key_lines(text: str) -> dict[tuple[str, ...], int]:
+def key_lines(text: str) -> dict[tuple[str, ...], int]:
     """Return the line of each key and section that stands on a line of its own."""
     lines: dict[tuple[str, ...], int] = {}
     section: tuple[str, ...] = ()
@@ -160,7 +167,7 @@ def _translate(error: ErrorDetails, lines: Mapping[tuple[str, ...], int]) -> Pro
         what = "is missing"
         remedy = f"add {_EXAMPLES.get(names[-1], 'it')}"
     else:
-        what, remedy = _WORDS.get(error["type"], _other)(error)
+        what, remedy = words(error)
     return Problem(where=_where(names, items, lines), what=what, remedy=remedy)
 
 
@@ -200,6 +207,11 @@ def _home(key: str) -> str | None:
         if model is not None and key in model.model_fields:
             return name
     return None
+
+
+def words(error: ErrorDetails) -> tuple[str, str]:
+    """Return what is wrong with a value that pydantic refused, and the remedy."""
+    return _WORDS.get(error["type"], _other)(error)
 
 
 def _not_a(kind: str, remedy: str) -> Callable[[ErrorDetails], tuple[str, str]]:

@@ -1,0 +1,1 @@
+"""A rig with known truth behind the protocols of devices."""

@@ -42,6 +42,7 @@ def faults(dataset: Dataset, *, rows_to_come: bool = False) -> Iterator[Problem]
         Whether gaze rows are still to be taken: few or none are no fault then.
     """
     yield from _missing_sections(dataset)
+    yield from _other_side(dataset)
     yield from _too_few_images(dataset)
     if not rows_to_come:
         yield from _too_few_rows(dataset)
@@ -84,6 +85,23 @@ def _gaze_doubts(dataset: Dataset, gaze: GazeTable) -> Iterator[str]:
             f"{known.max():g} mm: baseline and zero error can hardly be distinguished; add targets "
             "nearer and farther"
         )
+
+
+def _other_side(dataset: Dataset) -> Iterator[Problem]:
+    """Yield a pose that puts C2 on the other side of C1 than the manifest says."""
+    stereo, is_left = dataset.manifest.stereo, dataset.manifest.rig.is_left
+    if stereo is None or stereo.transform is None:
+        return
+    x = stereo.transform[0][3]
+    if (x < 0) if is_left else (x > 0):
+        return
+    stands, other = ("-X", "right") if is_left else ("+X", "left")
+    yield Problem(
+        where=f"{MANIFEST}, [stereo] transform",
+        what=f"it puts C2 at X = {x:g} mm of C1, but C2 stands on the {stands} side",
+        remedy="give the pose of C2 in C1: the inverse of OpenCV's R, T, which map C1 to C2; or, "
+        f'if C2 does stand on the {other} of C1, write c2 = "{other}" in [rig]',
+    )
 
 
 @dataclass(frozen=True)

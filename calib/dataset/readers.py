@@ -80,12 +80,12 @@ def _scanned(cells: Cells, table: T_table) -> Scanned[T_table]:
     return Scanned(table, shortened(cells.problems, where=cells.file))
 
 
-def read_gaze(text: str, *, name: str) -> GazeTable:
+def read_gaze(text: str, *, name: str, is_left: bool = False) -> GazeTable:
     """Return calibration or validation rows, each with a reference depth; `scan_gaze` or raise."""
-    return scan_gaze(text, name=name).sound()
+    return scan_gaze(text, name=name, is_left=is_left).sound()
 
 
-def read_measurements(text: str, *, name: str) -> GazeTable:
+def read_measurements(text: str, *, name: str, is_left: bool = False) -> GazeTable:
     """Return rows to be measured; a reference depth may be there, to be compared.
 
     Parameters
@@ -94,13 +94,15 @@ def read_measurements(text: str, *, name: str) -> GazeTable:
         Of the CSV table.
     name
         Of its file, for messages.
+    is_left
+        Whether C2 stands at -X of C1.
 
     Raises
     ------
     InputError
         Listing all faults of the table.
     """
-    return scan_gaze(text, name=name, reference=False).sound()
+    return scan_gaze(text, name=name, reference=False, is_left=is_left).sound()
 
 
 def read_sweep(text: str, *, name: str) -> SweepTable:
@@ -113,7 +115,9 @@ def read_lengths(text: str, *, name: str, known: bool = True) -> LengthTable:
     return scan_lengths(text, name=name, known=known).sound()
 
 
-def scan_gaze(text: str, *, name: str, reference: bool = True) -> Scanned[GazeTable]:
+def scan_gaze(
+    text: str, *, name: str, reference: bool = True, is_left: bool = False
+) -> Scanned[GazeTable]:
     """Return calibration or validation rows and their faults.
 
     Parameters
@@ -124,6 +128,8 @@ def scan_gaze(text: str, *, name: str, reference: bool = True) -> Scanned[GazeTa
         Of its file, for messages.
     reference
         Whether each row needs a reference depth.
+    is_left
+        Whether C2 stands at -X of C1.
 
     Raises
     ------
@@ -138,7 +144,7 @@ def scan_gaze(text: str, *, name: str, reference: bool = True) -> Scanned[GazeTa
     check_normalised(cells, "x1c", x1c)
     check_normalised(cells, "y1c", y1c)
     alpha2 = _alpha2(cells)
-    check_sight_lines(cells, x1c, alpha2)
+    check_sight_lines(cells, x1c, alpha2, is_left=is_left)
     z_mm, u_z_mm = _depths(cells)
     groups = cells.names("group")
     table = GazeTable(

@@ -269,6 +269,7 @@ def _provenance(p: Provenance, gates: Sequence[Gate]) -> Annex:
         ("Dataset", f"{clean(p.dataset_title)} ({clean(p.dataset_name)})"),
         ("Source of the data", clean(p.citation)),
         ("SHA-256 of the dataset", p.dataset_sha256),
+        ("SHA-256 of calibration.json, which is certified", p.calibration_sha256),
         ("Seed of the random numbers", str(p.seed)),
         ("Software", ", ".join(f"{clean(name)} {clean(version)}" for name, version in p.software)),
         ("Commit", clean(p.commit)),

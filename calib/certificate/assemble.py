@@ -28,8 +28,14 @@ def assemble(
     *,
     issue: Issue,
     made: RunProvenance,
+    digest: str,
 ) -> CertificateInputs:
     """Return the inputs of the certificate.
+
+    Parameters
+    ----------
+    digest
+        SHA-256, hex, of the calibration.json that is certified.
 
     Raises
     ------
@@ -46,6 +52,7 @@ def assemble(
             dataset_name=calibration.name,
             dataset_title=manifest.heading,
             dataset_sha256=calibration.sha256,
+            calibration_sha256=digest,
             citation=manifest.source.citation,
             seed=calibration.seed,
             software=(("calib", made.version), ("Python", made.python), *made.packages.items()),

@@ -115,6 +115,7 @@ def build_certificate(inputs: CertificateInputs) -> CertificateData:
         software=tuple((clean(n), clean(v)) for n, v in inputs.provenance.software),
         dataset=clean(inputs.provenance.dataset_name),
         sha256=inputs.provenance.dataset_sha256,
+        calibration_sha256=inputs.provenance.calibration_sha256,
     )
 
 

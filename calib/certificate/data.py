@@ -226,7 +226,7 @@ class CertificateData:
         After the two pages.
     software
         Name and version.
-    dataset, sha256
+    dataset, sha256, calibration_sha256
         What it was computed from.
     """
 
@@ -274,6 +274,7 @@ class CertificateData:
     software: tuple[tuple[str, str], ...]
     dataset: str
     sha256: str
+    calibration_sha256: str
 
     @property
     def fields(self) -> tuple[tuple[Entry, ...], ...]:

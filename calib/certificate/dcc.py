@@ -93,6 +93,9 @@ def _core(d: CertificateData) -> Content:
         dcc(
             "identifications",
             _identification("calibrationLaboratory", d.sha256, "SHA-256 of the dataset"),
+            _identification(
+                "calibrationLaboratory", d.calibration_sha256, "SHA-256 of calibration.json"
+            ),
             _identification("calibrationLaboratory", d.dataset, "name of the dataset"),
         ),
         *([] if d.received == NOT_STATED else [dcc("receiptDate", text=d.received)]),

@@ -76,6 +76,8 @@ class Provenance:
     ----------
     dataset_name, dataset_title, dataset_sha256
         The dataset.
+    calibration_sha256
+        Of the bytes of the calibration.json that is certified.
     citation
         Where its data come from; None if not stated.
     seed
@@ -89,6 +91,7 @@ class Provenance:
     dataset_name: str
     dataset_title: str
     dataset_sha256: str
+    calibration_sha256: str
     citation: str | None
     seed: int
     software: tuple[tuple[str, str], ...]

@@ -32,10 +32,11 @@ from calib.instrument.evidence import gather_evidence
 from calib.mirror.gaze import mirror_gaze
 from calib.mirror.problem import Mirror, mirror_priors
 from calib.results.calibration import Calibration, GazeResult
-from calib.results.manifest import run_fingerprint
 from calib.rows.from_table import ValidationRows, observe_validation
 from calib.rows.observations import Observations
 from calib.rows.repeated_readings import repetition_warning
+from calib.rows.sketch import sketch
+from calib.stages.manifest import run_fingerprint
 from calib.stages.owner import claim
 from calib.stages.store import Staged, Store, gather, given, optional, stage
 
@@ -117,6 +118,7 @@ def calibrate(
                 *all_warnings(result, gaze),
                 *pose_warnings(dataset, result.stereo, gaze),
             ),
+            rows=None if dataset.gaze is None else sketch(dataset.gaze, result.corners),
             disagreements=() if gaze is None else disagreements(gaze),
         )
         written = write_outputs(

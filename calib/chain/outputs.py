@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import gc
 import secrets
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from datetime import UTC, datetime
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,7 @@ from calib.report.context import report_context
 from calib.report.page import render_report
 from calib.results.calibration import Calibration, to_json
 from calib.results.hdf5_file import archive
-from calib.results.manifest import LEDGER, ledger_text
+from calib.stages.manifest import begin_outputs, end_outputs
 from calib.stages.provenance import Provenance, provenance
 from calib.stages.store import Store, write_bytes
 
@@ -41,28 +42,40 @@ def write_outputs(
         If the folder cannot be written.
     """
     out = store.out
-    # From here to the new ledger the folder is no finished run.
-    (out / LEDGER).unlink(missing_ok=True)
     made = provenance(
         command=command, durations_s=store.durations, beside=_beside(calibration.images)
     )
     store.announce("report")
     with _settled():
-        files = _results(calibration) | _report(calibration, dataset, made)
-        certificate, pdf_missing = _certificate(calibration, dataset, made)
+        files = _results(calibration)
+        digest = sha256(files["calibration.json"]).hexdigest()
+        files |= _report(calibration, dataset, made)
+        certificate, pdf_missing = _certificate(calibration, dataset, made, digest=digest)
     files |= certificate
     run = _run(calibration, made)
     if pdf_missing is not None:
         run["certificate"] = {"pdf_missing": pdf_missing}
         store.announce(f"warning: no certificate.pdf: {pdf_missing}")
     files["run.toml"] = tomli_w.dumps(run).encode()
+    write_set(out, files, fingerprint=fingerprint)
+    return tuple(out / name for name in files)
+
+
+def write_set(out: Path, files: Mapping[str, bytes], *, fingerprint: str) -> None:
+    """Write the files of a run, so that at no moment those of two runs pass for one.
+
+    Raises
+    ------
+    UsageError
+        If the folder cannot be written.
+    """
+    begin_outputs(out, files)
     for name, content in files.items():
         write_bytes(out / name, content)
     # A certificate of an earlier run must not lie beside results it does not certify.
     for name in set(CERTIFICATES) - set(files):
         (out / name).unlink(missing_ok=True)
-    write_bytes(out / LEDGER, ledger_text(out, fingerprint, files).encode())
-    return tuple(out / name for name in files)
+    end_outputs(out, fingerprint, files)
 
 
 def _beside(images: ImageResult) -> dict[str, str]:
@@ -108,7 +121,7 @@ def _report(calibration: Calibration, dataset: Dataset, made: Provenance) -> dic
 
 
 def _certificate(
-    calibration: Calibration, dataset: Dataset, made: Provenance
+    calibration: Calibration, dataset: Dataset, made: Provenance, *, digest: str
 ) -> tuple[dict[str, bytes], str | None]:
     """Return the certificate in its forms, and why it has no PDF; nothing to certify, no forms."""
     gaze = calibration.gaze
@@ -118,7 +131,9 @@ def _certificate(
     issue = new_issue(
         now=datetime.now(UTC), dataset_sha256=calibration.sha256, token=secrets.token_hex(6)
     )
-    inputs = assemble(calibration, dataset.manifest, gaze.evidence, issue=issue, made=made)
+    inputs = assemble(
+        calibration, dataset.manifest, gaze.evidence, issue=issue, made=made, digest=digest
+    )
     forms = render_forms(inputs)
     files = {"certificate.html": forms.html.encode(), "certificate.xml": forms.xml}
     if forms.pdf is not None:

@@ -1,4 +1,4 @@
-"""Path arguments and their roles.
+"""Arguments that several commands take, and the roles of paths.
 
 A path argument is added by one of the functions below, never by a bare `type=Path`: its role
 decides what the guard of `calib.stages.output_guard` holds it against, before the command begins.
@@ -136,3 +136,23 @@ def whole(text: str, *, least: int, most: int = MOST) -> int:
         limit = "2**63 - 1" if most == MOST else str(most)
         raise argparse.ArgumentTypeError(f"{text!r}: give a whole number from {least} to {limit}")
     return int(text)
+
+
+def number(text: str, *, below: float, wanted: str) -> float:
+    """Return a number between 0 and `below`."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0 < value < below:
+        raise argparse.ArgumentTypeError(f"{text!r}: give {wanted}")
+    return value
+
+
+LARGEST_DEPTH_MM = 1e7
+"""Ten kilometres: no gaze angle measures them, and squares of larger numbers soon overflow."""
+
+
+def depth(text: str) -> float:
+    """Return a depth in mm."""
+    return number(text, below=LARGEST_DEPTH_MM, wanted="a depth in mm, above 0 and below 10 km")

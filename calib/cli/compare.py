@@ -5,8 +5,11 @@ from __future__ import annotations
 import argparse
 import sys
 
+from calib.cli.acceptance import add_acceptance, warn_of_failed
 from calib.cli.arguments import add_input, add_output
 from calib.stages.output_guard import OutputKind
+
+DONE, GATE_FAILED = 0, 3
 
 PAGE = OutputKind(is_folder=False, marks=(b'content="calib compare"',))
 """Known by its generator."""
@@ -19,22 +22,29 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="folders of finished runs, or their calibration.json; the first is the reference",
     )  # fmt: skip
     add_output(parser, "--out", kind=PAGE, metavar="HTML", help="page to write; default: none")
+    add_acceptance(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Print the comparison, write its page, return the exit status."""
     from calib.core.errors import UsageError
-    from calib.history.drift import drifts
+    from calib.history.drift import accepted, drifts
     from calib.history.output import html, tables, text
     from calib.history.read import read_run
     from calib.stages.store import write_bytes
 
     if len(arguments.runs) < 2:
         raise UsageError("compare takes two runs or more")
-    runs = [read_run(path) for path in arguments.runs]
+    runs = [read_run(path, allow_edited=arguments.allow_edited) for path in arguments.runs]
+    if arguments.accept_failed:
+        runs = [accepted(run) for run in runs]
     found = tables(runs, drifts(runs))
     sys.stdout.write(text(found))
     if arguments.out is not None:
         write_bytes(arguments.out, html(found).encode())
         sys.stdout.write(f"\npage: {arguments.out}\n")
-    return 0
+    minded = [
+        warn_of_failed(path, run.measuring, accepted=False)
+        for path, run in zip(arguments.runs, runs, strict=True)
+    ]
+    return GATE_FAILED if any(minded) else DONE

@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from calib.cli.arguments import add_input, add_output, natural, run_folder, whole
+from calib.cli.arguments import add_input, add_output, depth, natural, number, run_folder, whole
 from calib.stages.output_guard import RUN_FOLDER, OutputKind
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     add_input(parser, "dataset", metavar="DATASET", help="folder with dataset.toml")
     parser.add_argument(
-        "--depth", type=_positive, nargs="+", required=True, metavar="Z",
+        "--depth", type=depth, nargs="+", required=True, metavar="Z",
         help="depths, mm, at which u(z) matters",
     )  # fmt: skip
     parser.add_argument(
@@ -31,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="targets to come; default: 6",
     )
     parser.add_argument(
-        "--targets", type=_positive, nargs=2, metavar=("NEAR", "FAR"),
+        "--targets", type=depth, nargs=2, metavar=("NEAR", "FAR"),
         help="depths, mm, at which targets can be put; default: from the nearest to the farthest "
         "of the rows and the asked depths",
     )  # fmt: skip
@@ -56,23 +56,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _positive(text: str) -> float:
-    return _number(text, float("inf"), "a positive number")
-
-
 def _angle(text: str) -> float:
-    return _number(text, 180.0, "an angle between 0 and 180 deg")
-
-
-def _number(text: str, below: float, wanted: str) -> float:
-    """Return a number between 0 and `below`."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = 0.0
-    if not 0 < value < below:
-        raise argparse.ArgumentTypeError(f"{text!r}: give {wanted}")
-    return value
+    return number(text, below=180.0, wanted="an angle between 0 and 180 deg")
 
 
 PICTURE = OutputKind(is_folder=False, marks=(b"calib plan",))

@@ -95,7 +95,7 @@ class Cells:
             else:
                 if np.all(np.isfinite(values) | (np.array(texts, dtype=object) == "")):
                     return values
-        parsed = [_number(t) for t in texts]
+        parsed = [parse_number(t) for t in texts]
         bad = np.array([isinstance(p, str) for p in parsed])
         self.report(
             bad,
@@ -134,7 +134,7 @@ class Cells:
         self.problems.append(Problem(where=where, what=what, remedy=remedy))
 
 
-def _number(text: str) -> float | str:
+def parse_number(text: str) -> float | str:
     """Return the number in a cell, or what is wrong with it."""
     if not text:
         return np.nan
@@ -207,6 +207,22 @@ def _records(text: str, file: str) -> tuple[list[list[str]], list[int]]:
     return records, lines
 
 
+def check_header(
+    record: list[str], place: str, known: Sequence[str], pattern: str | None = None
+) -> list[str]:
+    """Return the names of the columns; for the parameters see `read_cells`.
+
+    Raises
+    ------
+    InputError
+        If they are no header, or hold unknown or repeated columns.
+    """
+    header = [name.strip() for name in record]
+    _refuse_no_header(header, place, known)
+    refuse_if(_header_faults(header, place, known, pattern), where=place)
+    return header
+
+
 def _refuse_no_header(header: list[str], place: str, known: Sequence[str]) -> None:
     """Raise if the first line is no header in cells separated by commas."""
     if len(header) == 1 and (found := re.search(r"[;\t|]", header[0])):
@@ -245,7 +261,7 @@ def _header_faults(
 
 
 def _is_number(text: str) -> bool:
-    return isinstance(_number(text), float) and text != ""
+    return isinstance(parse_number(text), float) and text != ""
 
 
 def _refuse_ragged(

@@ -11,12 +11,16 @@ from calib.core.errors import InputError, Problem
 SHOWN_LENGTH = 60
 """Characters of an offending value that a message repeats: enough to find it in the file."""
 
-LISTED_PROBLEMS = 50
+LISTED_PROBLEMS = 10
 """Problems listed for one file. Whoever has more has one cause, and reads the first few."""
 
 # Control characters but tab and line breaks, and halves of surrogate pairs (a file name that is not
 # UTF-8): no text editor shows them, XML 1.0 forbids them.
 _UNPRINTABLE = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\ud800-\udfff\ufffe\uffff]")
+# Characters that do not show, or turn the text around them: two ids could look the same.
+_INVISIBLE = re.compile(
+    "[\u00ad\u061c\u180e\u200b-\u200f\u202a-\u202e\u2060-\u206f\ufe00-\ufe0f\ufeff]"
+)
 _LINE_BREAK = re.compile("[\t\n\r\u2028\u2029]")
 
 
@@ -71,6 +75,8 @@ def text_fault(text: str, *, one_line: bool = True) -> str | None:
         return "is empty"
     if found := _UNPRINTABLE.search(text):
         return f"holds the control character U+{ord(found[0]):04X}"
+    if found := _INVISIBLE.search(text):
+        return f"holds the invisible character U+{ord(found[0]):04X}"
     if one_line and _LINE_BREAK.search(text):
         return "holds a tab or a line break"
     return None

@@ -1,14 +1,15 @@
 """Changes between runs of one rig, in units of their joint uncertainty.
 
 Runs are taken as independent: what they share (the same board, the same ruler) cancels in the
-difference, so that the true significance is if anything higher. Priors that both contain do not
-cancel: a parameter that prior knowledge identifies hardly drifts, whatever the rig does.
+difference, so that the true significance is if anything higher. Rows that both were fitted to do so
+too, and are counted. Priors that both contain do not cancel: a parameter that prior knowledge
+identifies hardly drifts, whatever the rig does. A run whose gates failed gives no verdict.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import chi2, norm
@@ -18,6 +19,7 @@ from calib.geometry.misclosure import depth_jacobian
 from calib.geometry.parameters import INDEX, PARAMETERS
 from calib.geometry.plane import Gaze, depth, gaze_at
 from calib.instrument.calibration_file import Measuring
+from calib.rows.sketch import RowSketch
 
 FAMILY_RISK = 0.05
 """Chance that any change of an unchanged rig is called significant, over one pair of runs."""
@@ -44,6 +46,12 @@ class Run:
         By parameter: "data", "prior" or "both".
     scores
         Predictive scores by name, as far as the run has them.
+    dataset_sha256
+        Fingerprint of the dataset; empty if the run does not say it.
+    rows
+        By which runs see whether they share rows; None if the run does not say it.
+    depth_u
+        Depths and standard uncertainties there, mm, shape (n,) each, as the run tabulated them.
     """
 
     name: str
@@ -52,6 +60,24 @@ class Run:
     measuring: Measuring
     identified_by: Mapping[str, str]
     scores: Mapping[str, float]
+    dataset_sha256: str = ""
+    rows: RowSketch | None = None
+    depth_u: tuple[tuple[float, ...], tuple[float, ...]] = ((), ())
+
+    @property
+    def failed(self) -> tuple[str, ...]:
+        """Names of the gates that failed: the result must not be used."""
+        return tuple(gate.name for gate in self.measuring.failed_gates)
+
+    def u_at(self, z_mm: float) -> float | None:
+        """Return u(z) at a depth, interpolated in the run's table; None outside of it.
+
+        Both logarithms are taken: u grows as a power of the depth.
+        """
+        z, u = self.depth_u
+        if not z or not min(z) <= z_mm <= max(z):
+            return None
+        return float(np.exp(np.interp(np.log(z_mm), np.log(z), np.log(u))))
 
     def estimates(self) -> dict[str, tuple[float, float]]:
         """Return value and standard uncertainty by parameter, L_b + e among them."""
@@ -108,18 +134,38 @@ class Drift:
         Probability of parameters as different as these, together, if nothing has changed; the
         single changes do not see a change along strongly correlated parameters. None without
         parameters free in both.
+    failed
+        Names of the two runs whose gates failed: they give no verdict.
+    notes
+        Why the runs are not independent, as far as they are not.
     """
 
     first: str
     other: str
     changes: tuple[Change, ...]
     p_value: float | None
+    failed: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    @property
+    def verdict(self) -> str:
+        """What the comparison comes to, in words."""
+        if self.failed:
+            return f"no verdict: gates of {' and '.join(self.failed)} failed"
+        if self.significant:
+            return "a significant change"
+        return "no significant change"
 
     @property
     def significant(self) -> bool:
         """Whether the rig has changed."""
         together = self.p_value is not None and self.p_value < FAMILY_RISK
         return together or any(change.significant for change in self.changes)
+
+
+def accepted(run: Run) -> Run:
+    """Return a run whose failed gates its user accepts."""
+    return replace(run, measuring=replace(run.measuring, failed_gates=()))
 
 
 def drift(first: Run, other: Run) -> Drift:
@@ -138,7 +184,26 @@ def drift(first: Run, other: Run) -> Drift:
             name, first, other)))  # fmt: skip
     for z, difference, std in depths:
         changes.append(_change(f"reading of {z:.0f} mm", "mm", difference, std, limit, ""))
-    return Drift(first.name, other.name, tuple(changes), _together(first, other))
+    return Drift(
+        first.name, other.name, tuple(changes), _together(first, other),
+        failed=tuple(run.name for run in (first, other) if run.failed),
+        notes=_common(first, other),
+    )  # fmt: skip
+
+
+def _common(first: Run, other: Run) -> tuple[str, ...]:
+    """Return what two runs have in common, so that they are not independent."""
+    if first.dataset_sha256 and first.dataset_sha256 == other.dataset_sha256:
+        return ("the same dataset: differences come from settings, seed or version, not the rig",)
+    if first.rows is None or other.rows is None:
+        return ()
+    shared = first.rows.shared_with(other.rows)
+    if not shared:
+        return ()
+    return (
+        f"{shared} of {other.rows.count} gaze rows are those of the first run: their errors "
+        "cancel, the stated u of a change is too large, and a change may hide",
+    )
 
 
 def _change(what: str, unit: str, difference: float, std: float, limit: float, note: str) -> Change:

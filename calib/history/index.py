@@ -30,6 +30,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from calib.core.arrays import FloatArray
 from calib.core.errors import InputError, UsageError
+from calib.core.seal import is_edited
 from calib.geometry.parameters import INDEX
 
 RESULT, CERTIFICATE, RUN = "calibration.json", "certificate.xml", "run.toml"
@@ -135,8 +136,14 @@ class _Rig(_Lenient):
     serial: str | None = None
 
 
+class _Gate(_Lenient):
+    name: str
+    passed: bool
+
+
 class _Document(_Lenient):
     format: int
+    gates: tuple[_Gate, ...] = ()
     dataset: _Dataset
     measurement: _Measurement
     rig: _Rig | None = None
@@ -159,6 +166,11 @@ def read_entry(folder: Path) -> Entry:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"]) or "the file"
         raise ValueError(f"{where}: {first['msg']}") from error
+    failed = [gate.name for gate in document.gates if not gate.passed]
+    if failed:
+        raise ValueError(f"must not be used: gate {', '.join(failed)} failed")
+    if is_edited(json.loads(content)):
+        raise ValueError("was edited after the run that wrote it")
     m = document.measurement
     values, covariance = np.array(m.values), np.array([list(row) for row in m.covariance])
     n = len(m.names)

@@ -8,6 +8,7 @@ from html import escape
 from calib.history.drift import FAMILY_RISK, Drift, Run
 
 Table = tuple[str, list[list[str]]]
+"""Title and rows of cells, the first its head; a row of one cell is a note on the table."""
 
 
 def tables(runs: Sequence[Run], drifts: Sequence[Drift]) -> list[Table]:
@@ -16,15 +17,29 @@ def tables(runs: Sequence[Run], drifts: Sequence[Drift]) -> list[Table]:
         ("Runs", _runs(runs)),
         ("Parameters", _parameters(runs)),
         ("Predictive scores", _scores(runs)),
+        ("u(z), mm", _depth_u(runs)),
         *((_title(d), _changes(d)) for d in drifts),
     ]
 
 
 def _runs(runs: Sequence[Run]) -> list[list[str]]:
-    rows = [["", "run", "dataset", "model", "calibrated depths, mm"]]
+    rows = [["", "run", "dataset", "model", "calibrated depths, mm", "gates"]]
     for i, run in enumerate(runs, 1):
         low, high = run.measuring.calibrated_mm
-        rows.append([str(i), run.name, run.dataset, run.model, f"{low:.0f} to {high:.0f}"])
+        gates = f"FAILED: {', '.join(run.failed)}" if run.failed else "passed"
+        depths = f"{low:.0f} to {high:.0f}"
+        rows.append([str(i), run.name, run.dataset, run.model, depths, gates])
+    return rows
+
+
+def _depth_u(runs: Sequence[Run]) -> list[list[str]]:
+    """Return u(z) of each run at the same depths: the ends and the middle of all their ranges."""
+    rows = [["at depth", *(f"run {i}" for i in range(1, len(runs) + 1))]]
+    ends = [end for run in runs for end in run.measuring.calibrated_mm]
+    low, high = min(ends), max(ends)
+    for z in (low, (low + high) / 2, high):
+        found = [run.u_at(z) for run in runs]
+        rows.append([f"{z:.0f} mm", *("not covered" if u is None else f"{u:.3g}" for u in found)])
     return rows
 
 
@@ -55,9 +70,8 @@ def _scores(runs: Sequence[Run]) -> list[list[str]]:
 
 
 def _title(drift: Drift) -> str:
-    verdict = "a significant change" if drift.significant else "no significant change"
     together = "" if drift.p_value is None else f", all parameters together p = {drift.p_value:.2g}"
-    return f"{drift.first} to {drift.other}: {verdict}{together}"
+    return f"{drift.first} to {drift.other}: {drift.verdict}{together}"
 
 
 def _changes(drift: Drift) -> list[list[str]]:
@@ -67,7 +81,7 @@ def _changes(drift: Drift) -> list[list[str]]:
         note = "; ".join(part for part in (remark, c.note) if part)
         change = _signed(c.difference, ".3g") + (f" {c.unit}" if c.unit != "1" else "")
         rows.append([c.what, change, f"{c.std:.2g}", _signed(c.sigmas, ".1f"), note])
-    return rows
+    return rows + [[f"Note: {note}."] for note in drift.notes]
 
 
 def _signed(value: float, form: str) -> str:
@@ -79,9 +93,10 @@ def text(found: Sequence[Table]) -> str:
     """Return the tables for the terminal."""
     blocks = []
     for title, rows in found:
-        widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
+        full = [row for row in rows if len(row) == len(rows[0])]
+        widths = [max(len(row[k]) for row in full) for k in range(len(rows[0]))]
         lines = [
-            "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
+            "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=False)).rstrip()
             for row in rows
         ]
         blocks.append("\n".join([title, *(f"  {line}" for line in lines)]))
@@ -111,10 +126,12 @@ def html(found: Sequence[Table]) -> str:
     parts.append(
         "<p>A change is called significant if chance alone would make one as large, among those of "
         f"its table, with less than {100 * FAMILY_RISK:.0f} % probability. Runs are taken as "
-        "independent.</p>\n</body></html>\n"
+        "independent, unless a note says otherwise.</p>\n</body></html>\n"
     )
     return "".join(parts)
 
 
 def _line(cells: Sequence[str], kind: str) -> str:
+    if len(cells) == 1:
+        return f'<tr><td colspan="9">{escape(cells[0])}</td></tr>\n'
     return "<tr>" + "".join(f"<{kind}>{escape(cell)}</{kind}>" for cell in cells) + "</tr>\n"

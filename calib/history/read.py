@@ -8,20 +8,24 @@ from typing import Any
 
 from calib.history.drift import Run
 from calib.instrument.calibration_file import read_calibration
+from calib.rows.sketch import RowSketch
+from calib.stages.manifest import refuse_broken_folder
 
 RESULT = "calibration.json"
 
 
-def read_run(path: Path) -> Run:
+def read_run(path: Path, *, allow_edited: bool = False) -> Run:
     """Return the run in a folder, or of a calibration.json.
 
     Raises
     ------
     InputError
-        If there is none, or it holds no gaze calibration.
+        If there is none, it holds no gaze calibration, or its folder is broken.
     """
     file = path / RESULT if path.is_dir() else path
-    measuring = read_calibration(file)
+    if path.is_dir() and not allow_edited:
+        refuse_broken_folder(path)
+    measuring = read_calibration(file, allow_edited=allow_edited)
     # Checked above as far as the instrument goes; the rest is only shown, and may be absent.
     document: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
     model = str(document["measurement"]["model"])
@@ -37,21 +41,30 @@ def read_run(path: Path) -> Run:
         measuring=measuring,
         identified_by=decided,
         scores=_scores(document, model),
+        dataset_sha256=str(document.get("dataset", {}).get("sha256", "")),
+        rows=_sketch(document.get("dataset", {})),
+        depth_u=_depth_u(document),
     )
+
+
+def _sketch(dataset: dict[str, Any]) -> RowSketch | None:
+    if "rows_sketch" not in dataset:
+        return None
+    return RowSketch(int(dataset["rows"]), tuple(map(str, dataset["rows_sketch"])))
+
+
+def _depth_u(document: dict[str, Any]) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    table = [row for row in document.get("depth_uncertainty", []) if row.get("u_mm", 0) > 0]
+    return tuple(float(r["z_mm"]) for r in table), tuple(float(r["u_mm"]) for r in table)
 
 
 _SHOWN = ("loo", "loo_se", "weight", "cv_depth_rms_rel", "validation_depth_rms_rel")
 
 
 def _scores(document: dict[str, Any], model: str) -> dict[str, float]:
-    """Return the predictive scores of the selected model, and u(z) over the range."""
+    """Return the predictive scores of the selected model."""
     found: dict[str, float] = {}
     for score in document.get("comparison", []):
         if score.get("model") == model:
             found |= {name: float(score[name]) for name in _SHOWN if name in score}
-    depths = document.get("depth_uncertainty", [])
-    for place, entry in (("near", depths[:1]), ("far", depths[-1:])):
-        for row in entry:
-            if "u_mm" in row:
-                found[f"u(z) {place}, mm"] = float(row["u_mm"])
     return found

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from calib.core.arrays import FloatArray
-from calib.core.errors import InputError, UsageError
+from calib.core.errors import UsageError
 from calib.dataset.tables import GazeTable
 from calib.instrument.calibration_file import Measuring
 from calib.instrument.measuring import Measured, Positions, measure
@@ -44,6 +44,11 @@ class Averaged:
     weights: FloatArray
     models: tuple[Measured, ...]
 
+    @property
+    def faults(self) -> Mapping[int, str]:
+        """Why a row could not be measured by one of the models, by its place."""
+        return {i: fault for model in self.models for i, fault in model.faults.items()}
+
     def length(self, start: int, end: int) -> tuple[float, float]:
         """Return the distance of two points and its standard uncertainty, mm."""
         found = np.array([model.length(start, end) for model in self.models])
@@ -63,8 +68,6 @@ def measure_by(measuring: Measuring, table: GazeTable, *, model: str) -> Positio
     ------
     UsageError
         If the calibration has no such model.
-    InputError
-        As `calib.instrument.measuring.measure`.
     """
     if model == AVERAGE:
         return measure_average(measuring, table)
@@ -100,8 +103,6 @@ def measure_average(measuring: Measuring, table: GazeTable) -> Averaged:
     ------
     UsageError
         If the calibration does not hold the other models.
-    InputError
-        As `calib.instrument.measuring.measure`, for any of the models.
     """
     shares = [share for share in measuring.shares if share.weight >= NEGLIGIBLE]
     if not shares:
@@ -134,13 +135,14 @@ def doubt(measuring: Measuring, measured: Positions, table: GazeTable) -> str | 
     """Return what the reader of the selected model's intervals should know; None if nothing."""
     if not measuring.shares:
         return None
-    try:
-        average = measure_average(measuring, table)
-    except InputError:
+    average = measure_average(measuring, table)
+    if set(average.faults) - set(measured.faults):
         return "not all models of the calibration meet these readings in front of C1"
-    ratio = inverse_length(average.low95_mm, average.high95_mm) / inverse_length(
-        measured.low95_mm, measured.high95_mm
-    )
+    with np.errstate(invalid="ignore"):
+        ratio = inverse_length(average.low95_mm, average.high95_mm) / inverse_length(
+            measured.low95_mm, measured.high95_mm
+        )
+    ratio = ratio[np.isfinite(ratio)]
     if not ratio.max(initial=0.0) > CLEARLY_LONGER:
         return None
     parts = (f"{s.model} {s.weight:.2f}" for s in measuring.shares if s.weight >= NEGLIGIBLE)

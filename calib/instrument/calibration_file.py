@@ -13,10 +13,13 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from calib.core.arrays import FloatArray
 from calib.core.errors import InputError
+from calib.core.gate import Gate
+from calib.core.seal import is_edited
 from calib.geometry.camera import Camera
 from calib.geometry.parameters import NAMES
 from calib.rows.common_errors import Shared
 from calib.rows.from_table import CameraSet, RowSettings, Setup
+from calib.stages.manifest import refuse_broken
 from calib.uncertainty.measurement import (
     Instrument,
     ModelShare,
@@ -187,8 +190,15 @@ class _Camera(_Section):
         return Camera(np.array(self.matrix), np.array(self.distortion), self.image_size)
 
 
+class _Gate(_Section):
+    name: str
+    passed: bool
+    detail: str = ""
+
+
 class _File(_Section):
     format: Literal[1]
+    gates: tuple[_Gate, ...] = ()
     measurement: _Measurement
     intrinsics: dict[str, _Camera] = {}
 
@@ -211,6 +221,8 @@ class Measuring:
         Coverage factor of inverse depth.
     shares
         All fitted models, the selected one among them; empty in a file that holds that one alone.
+    failed_gates
+        Checks of the calibration that failed: the result must not be used.
     """
 
     instrument: Instrument
@@ -219,15 +231,22 @@ class Measuring:
     calibrated_mm: tuple[float, float]
     factor95: float
     shares: tuple[ModelShare, ...] = ()
+    failed_gates: tuple[Gate, ...] = ()
 
 
-def read_calibration(path: Path) -> Measuring:
+def read_calibration(path: Path, *, allow_edited: bool = False) -> Measuring:
     """Return the instrument of a calibration.json.
+
+    Parameters
+    ----------
+    allow_edited
+        Whether a file that is not what a run wrote is used all the same.
 
     Raises
     ------
     InputError
-        If the file is none, is damaged, has another format or holds no gaze calibration.
+        If the file is none, is damaged, has another format or holds no gaze calibration; if it was
+        edited, or lies beside files of another run.
     """
     text = _text(path)
     document = _document(path, text)
@@ -245,6 +264,10 @@ def read_calibration(path: Path) -> Measuring:
         raise _bad(
             path, f"{where}: {first['msg']}", "the file is damaged; calibrate again"
         ) from None
+    refuse_broken(path, edited=allow_edited)
+    if is_edited(document) and not allow_edited:
+        remedy = "calibrate again, or use it as it is with --allow-edited"
+        raise _bad(path, "was edited after the run that wrote it", remedy)
     return _measuring(file)
 
 
@@ -275,6 +298,11 @@ def _measuring(file: _File) -> Measuring:
         calibrated_mm=m.calibrated_depth_mm,
         factor95=m.factor95,
         shares=tuple(_share(share, reading, shared.error_names) for share in m.average),
+        failed_gates=tuple(
+            Gate(gate.name, passed=False, detail=gate.detail)
+            for gate in file.gates
+            if not gate.passed
+        ),
     )
 
 

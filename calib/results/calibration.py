@@ -13,6 +13,7 @@ import numpy as np
 
 from calib import __version__
 from calib.core.gate import Gate
+from calib.core.seal import with_digest
 from calib.fit.compare import Comparison, ModelScore
 from calib.fit.convex import ConvexFit
 from calib.fit.group_check import GroupCheck
@@ -35,6 +36,7 @@ from calib.results.fits_document import (
 from calib.results.identifiability_document import identifiability_document
 from calib.results.images_document import images_document
 from calib.rows.observations import Observations
+from calib.rows.sketch import RowSketch
 from calib.uncertainty.evidence import Evidence
 from calib.uncertainty.measurement import Instrument, SharedErrors, Spread
 from calib.uncertainty.montecarlo import NORMAL_FACTOR
@@ -108,6 +110,8 @@ class Calibration:
         What must hold before the result may be used.
     warnings
         What the reader should know and no gate covers.
+    rows
+        Of the gaze rows, by which runs see whether they share some.
     disagreements
         References that contradict the measured depths: no fault of the calibration alone, and
         more than its reader may overlook.
@@ -122,6 +126,7 @@ class Calibration:
     gaze: GazeResult | None
     gates: tuple[Gate, ...]
     warnings: tuple[str, ...]
+    rows: RowSketch | None = None
     disagreements: tuple[str, ...] = ()
 
     @property
@@ -145,7 +150,7 @@ def _document(c: Calibration) -> dict[str, Any]:
     document: dict[str, Any] = {
         "format": FORMAT,
         "generator": f"calib {__version__}",
-        "dataset": {"name": c.name, "sha256": c.sha256},
+        "dataset": {"name": c.name, "sha256": c.sha256} | _rows(c.rows),
         "seed": c.seed,
     }
     document |= images_document(c.cameras, c.images)
@@ -153,8 +158,11 @@ def _document(c: Calibration) -> dict[str, Any]:
         document |= _gaze(c.gaze)
     document["gates"] = [vars(gate) for gate in c.gates]
     document["warnings"] = [*c.disagreements, *c.warnings]
-    cleaned: dict[str, Any] = _clean(document)
-    return cleaned
+    return with_digest(_clean(document))
+
+
+def _rows(rows: RowSketch | None) -> dict[str, Any]:
+    return {} if rows is None else {"rows": rows.count, "rows_sketch": rows.smallest}
 
 
 def _clean(value: Any) -> Any:

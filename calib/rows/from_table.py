@@ -259,9 +259,7 @@ class _Source:
         from_image = np.isfinite(self.seen.pixel_c2[:, 0])
         if camera is None:
             return _Part(value, std, by_common)
-        # A table gives the column alone; near the centre column the row hardly matters.
-        row = np.full(len(self.table), camera.matrix[1, 2])
-        pixels = np.stack([self.table.u2_px, row], axis=1)
+        pixels = on_centre_row(camera, self.table.u2_px)
         pixels = np.where(from_image[:, None], self.seen.pixel_c2, pixels)
         rows = np.flatnonzero(np.isfinite(pixels[:, 0]))
         if len(rows):
@@ -309,6 +307,14 @@ class _Source:
         u = np.where(stated, self._u_group(self.table.z_mm), self.seen.u_z_mm)
         names = zip(stated.tolist(), self.table.groups, self.table.stereo, strict=True)
         return depth_groups([(given, g if given else s) for given, g, s in names], u)
+
+
+def on_centre_row(camera: Camera, column: FloatArray) -> FloatArray:
+    """Return pixels, shape (n, 2), of which a table gives the column alone, shape (n,).
+
+    Near the centre column the row hardly matters.
+    """
+    return np.stack([column, np.full(len(column), camera.matrix[1, 2])], axis=1)
 
 
 def direction_by_common(xy: FloatArray, camera: Camera, shared: Shared) -> FloatArray:

@@ -285,6 +285,7 @@ def inputs(
             dataset_name="example",
             dataset_title="Example of a certificate",
             dataset_sha256="3f2a9c1b" + "0" * 56,
+            calibration_sha256="c0ffee00" + "1" * 56,
             citation="Xu and Wang 2017",
             seed=1,
             software=(("calib", "0.1.0"), ("numpy", "2.4.6")),

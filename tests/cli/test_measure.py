@@ -249,16 +249,24 @@ def test_standard_input_and_out(file: Path, tmp_path: Path) -> None:
     written = process("measure", file, "-", "--out", tmp_path / "out.csv", text=table)
     assert (written.status, written.out) == (0, "")
     assert (tmp_path / "out.csv").read_text() == piped.out
-    bad = process("measure", file, "-", text=table.replace("87", "none"))
-    assert bad.status == 2
-    assert "standard input, line 2 (id a), column alpha2_deg" in bad.err
+    bad = process("measure", file, "-", text=table + "b,0,0,none\nc,0.05,0.1,87\n")
+    assert bad.status == 3
+    assert "standard input, line 3 (id b): alpha2_deg 'none'" in bad.err
+    assert "1 of 3 rows could not be measured" in bad.err
+    rows = rows_of(bad.out)
+    assert [rows[name]["status"] for name in "abc"] == [
+        "ok",
+        "alpha2_deg 'none' is not a number",
+        "ok",
+    ]
+    assert (rows["b"]["z_mm"], rows["c"]["z_mm"]) == ("", rows["a"]["z_mm"])
+    strict = process("measure", file, "-", "--strict", text=table + "b,0,0,none\nc,0,0.1,87\n")
+    assert strict.status == 2
+    assert "line 3 (id b)" in strict.err
 
 
 BAD_TABLES = {
-    "rays that part": ("id,x1c,y1c,alpha2_deg\na,-0.3,0,89\n", ["line 2 (id a)", "C1"]),
-    "length to nowhere": (None, ["l.csv", "line 2 (id p)", "'z'", "id"]),
     "no coordinate": ("id,alpha2_deg\na,89\n", ["x1c"]),
-    "image": ("id,image_c1,alpha2_deg\na,a.png,89\n", ["line 2 (id a)", "image", "u1_px"]),
     "not UTF-8": ("id,x1c,y1c,alpha2_deg\n\xe9,0,0,89\n".encode("latin-1"), ["t.csv", "UTF-8"]),
     "a folder": ("folder", ["t.csv", "cannot be read"]),
 }
@@ -266,26 +274,102 @@ BAD_TABLES = {
 
 @pytest.mark.parametrize(("text", "said"), BAD_TABLES.values(), ids=BAD_TABLES.keys())
 def test_bad_table(
-    text: str | bytes | None,
+    text: str | bytes,
     said: list[str],
     file: Path,
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    table, out, options = tmp_path / "t.csv", tmp_path / "out.csv", []
-    if text is None:
-        text = "id,x1c,y1c,alpha2_deg\na,0.05,0.1,87\n"
-        (tmp_path / "l.csv").write_text("id,from,to\np,a,z\n")
-        options = ["--lengths", tmp_path / "l.csv"]
+    table, out = tmp_path / "t.csv", tmp_path / "out.csv"
     if text == "folder":
         table.mkdir()
     else:
         table.write_bytes(text if isinstance(text, bytes) else text.encode())
-    ended = call(capsys, "measure", file, table, "--out", out, *options)
+    ended = call(capsys, "measure", file, table, "--out", out)
     assert ended.status == 2
     for word in said:
         assert word in ended.err
     assert not out.exists()
+
+
+GOOD_ROW = "good,{},87"
+BAD_ROWS = {
+    "rays that part": ("x1c,y1c", "0.05,0.1", "bad,-0.3,0,89", "do not meet"),
+    "image": ("x1c,y1c,image_c1", "0.05,0.1,", "bad,,,a.png,89", "takes coordinates"),
+    "no coordinate": ("x1c,y1c", "0.05,0.1", "bad,,,89", "none of x1c"),
+    "cell too many": ("x1c,y1c", "0.05,0.1", "bad,0,0,89,1", "has 5 cells, the header has 4"),
+    "decimal comma": ("x1c,y1c", "0.05,0.1", 'bad,"0,05",0,89', "'0,05'"),
+    "radians": ("x1c,y1c", "0.05,0.1", "bad,0.05,0.1,1.5", "radians?"),
+    "outside the picture": (
+        "u1_px,v1_px",
+        "400,300",
+        "bad,700,300,89",
+        "outside the picture of c1",
+    ),
+    "no ray": ("u1_px,v1_px", "400,300", "bad,1e6,300,89", "c1"),
+    "invisible": ("x1c,y1c", "0.05,0.1", "b\u200bad,0,0,89", "U+200B"),
+}
+
+
+@pytest.mark.parametrize(("columns", "cells", "bad", "said"), BAD_ROWS.values(), ids=BAD_ROWS)
+def test_one_bad_row_spoils_no_other(
+    columns: str, cells: str, bad: str, said: str, file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    header, good = f"id,{columns},alpha2_deg\n", GOOD_ROW.format(cells) + "\n"
+    table = file.parent / "t.csv"
+    table.write_text(header + good)
+    (alone,) = rows_of(call(capsys, "measure", file, table).out).values()
+    table.write_text(header + bad + "\n" + good)
+    ended = call(capsys, "measure", file, table)
+    assert ended.status == 3
+    refused, measured = csv.DictReader(io.StringIO(ended.out))
+    assert said in refused["status"]
+    assert refused["z_mm"] == refused["z_high95_mm"] == refused["extrapolated"] == ""
+    assert measured == alone
+    assert "line 2 (id " in ended.err
+    assert said in ended.err
+
+
+def test_length_to_nowhere(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    table, lengths = file.parent / "t.csv", file.parent / "l.csv"
+    table.write_text("id,x1c,y1c,alpha2_deg\na,0.05,0.1,87\nb,0.1,0.1,88\n")
+    lengths.write_text("id,from,to\np,a,z\nq,a,b\n")
+    ended = call(capsys, "measure", file, table, "--lengths", lengths)
+    assert ended.status == 3
+    rows = rows_of(ended.out)
+    assert "'z' is not in the table" in rows["p"]["status"]
+    assert (rows["p"]["length_mm"], rows["q"]["status"]) == ("", "ok")
+
+
+def test_never_more_than_ten_are_named(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    table = file.parent / "t.csv"
+    table.write_text("id,x1c,y1c,alpha2_deg\n" + "".join(f"{i},0,0,x\n" for i in range(5000)))
+    ended = call(capsys, "measure", file, table)
+    assert ended.status == 3
+    assert len(ended.out.splitlines()) == 5001
+    assert len(ended.err.splitlines()) == 11
+    assert "5000 of 5000 rows could not be measured, the first 10 named above" in ended.err
+
+
+def test_failed_gates_reach_who_measures(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    gates = [
+        {"name": "convergence", "passed": True, "detail": "all chains"},
+        {"name": "residuals", "passed": False, "detail": "noise 7 times as stated"},
+    ]
+    file.write_text(json.dumps(calibration() | {"gates": gates}))
+    table = file.parent / "t.csv"
+    table.write_text("id,x1c,y1c,alpha2_deg\na,0.05,0.1,87\nb,0,0.1,88\n")
+    ended = call(capsys, "measure", file, table)
+    assert ended.status == 3
+    assert "gate residuals FAILED: noise 7 times as stated" in ended.err
+    assert "convergence" not in ended.err
+    rows = rows_of(ended.out)
+    assert float(rows["a"]["z_mm"]) > 0, "the figures still come"
+    assert rows["a"]["status"] == "gate failed"
+    assert rows["b"]["status"] == "extrapolated, gate failed"
+    accepted = call(capsys, "measure", file, table, "--accept-failed")
+    assert (accepted.status, accepted.err) == (0, "")
+    assert [r["status"] for r in rows_of(accepted.out).values()] == ["ok", "extrapolated"]
 
 
 WHOLE = json.dumps(calibration())

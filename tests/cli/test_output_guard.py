@@ -16,7 +16,7 @@ import pytest
 from command import GOOD, call, dataset, tree
 
 from calib.cli.arguments import PathRole, guard_outputs, roles
-from calib.cli.main import _parser
+from calib.cli.main import parser
 from calib.core.errors import UsageError
 from calib.stages.output_guard import guarded
 from calib.stages.owner import claim
@@ -31,7 +31,7 @@ def commands(parser: argparse.ArgumentParser) -> Iterator[argparse.ArgumentParse
                 yield from commands(command)
 
 
-COMMANDS = list(commands(_parser()))
+COMMANDS = list(commands(parser()))
 OUTPUTS = [
     pytest.param(command, role, id=f"{command.prog} {role.option}")
     for command in COMMANDS

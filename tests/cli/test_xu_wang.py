@@ -11,6 +11,7 @@ import base64
 import csv
 import json
 import tomllib
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -104,6 +105,7 @@ def test_digital_certificate_says_what_the_other_files_say(
     assert base64.b64decode(page) == (out / "certificate.html").read_bytes()
     assert texts(root, ".//dcc:coreData/dcc:identifications/dcc:identification/dcc:value") == [
         result["dataset"]["sha256"],
+        sha256((out / "calibration.json").read_bytes()).hexdigest(),
         "xu-wang-2017",
     ]
     found = sources(root)

@@ -12,11 +12,13 @@ import pytest
 
 from calib.cli.compare import add_arguments, run
 from calib.core.errors import UsageError
+from calib.dataset.tables import GazeTable
 from calib.history.drift import FAMILY_RISK, Run, drift
 from calib.history.output import html, tables, text
 from calib.instrument.calibration_file import Measuring
 from calib.rows.common_errors import Shared
 from calib.rows.from_table import CameraSet, RowSettings, Setup
+from calib.rows.sketch import sketch
 from calib.uncertainty.measurement import Instrument, ParameterKnowledge, ReadingSpread
 
 NAMES = ("baseline_mm", "delta2_rad", "axis_z_mm", "eccentricity_mm")
@@ -147,3 +149,75 @@ def test_command_reads_runs_and_writes_a_page(
     assert page.read_text().endswith("</html>\n")
     with pytest.raises(UsageError, match="two runs"):
         compare(str(first))
+
+
+def test_a_failed_run_gives_no_verdict(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Property: also where the depths are 300 mm apart and u is so large that it hides it."""
+    good, failed = calibration(tmp_path / "a", 120.0), calibration(tmp_path / "b", 150.0)
+    file = failed / "calibration.json"
+    gate = {"name": "residuals", "passed": False, "detail": "noise 7 times as stated"}
+    file.write_text(json.dumps(json.loads(file.read_text()) | {"gates": [gate]}))
+    assert compare(str(good), str(failed)) == 3
+    told = capsys.readouterr()
+    assert f"no verdict: gates of {failed} failed" in told.out
+    assert "significant change" not in told.out
+    assert "FAILED: residuals" in told.out
+    assert "gate residuals FAILED: noise 7 times as stated" in told.err
+    assert compare(str(good), str(failed), "--accept-failed") == 0
+    assert "a significant change" in capsys.readouterr().out
+
+
+def table_of(z: list[float]) -> GazeTable:
+    n = len(z)
+    nothing, unnamed = np.full(n, np.nan), (None,) * n
+    ids = tuple(map(str, range(n)))
+    x = np.linspace(-0.1, 0.2, n)
+    return GazeTable(
+        file="t.csv", line=tuple(range(n)), ids=ids, groups=ids, x1c=x, y1c=nothing,
+        u1_px=nothing, v1_px=nothing, image_c1=unnamed, alpha2_rad=x + 1.5, u2_px=nothing,
+        image_c2=unnamed, z_mm=np.array(z), u_z_mm=nothing, stereo=unnamed, references={},
+        depth_row=unnamed,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("count", [1, 12, 64, 65, 3000])
+def test_shared_rows_are_counted(count: int) -> None:
+    z = np.random.default_rng(count).uniform(500, 2000, count).tolist()
+    first = sketch(table_of(z), {})
+    assert first.shared_with(first) == count
+    other = sketch(table_of([v + 1 for v in z]), {})
+    assert first.shared_with(other) == 0
+    half = [v if i < count / 2 else v + 1 for i, v in enumerate(z)]
+    shared = first.shared_with(sketch(table_of(half), {}))
+    of = -(-count // 2)
+    if count <= 64:
+        assert shared == of
+    else:
+        # The share of equal digests among 64: a binomial's standard deviation, as rows, five times.
+        j = of / (2 * count - of)
+        std = np.sqrt(j * (1 - j) / 64) * 2 * count / (1 + j) ** 2
+        assert abs(shared - of) < 5 * std
+
+
+def test_runs_on_the_same_rows_are_not_independent() -> None:
+    z = [500.0, 700.0, 900.0, 1100.0]
+    rows, others = sketch(table_of(z), {}), sketch(table_of([v + 1 for v in z]), {})
+    first = replace(made(TRUTH, "first"), dataset_sha256="a", rows=rows)
+    again = replace(made(TRUTH, "again"), dataset_sha256="a", rows=rows)
+    (note,) = drift(first, again).notes
+    assert note.startswith("the same dataset")
+    x = replace(made(TRUTH, "more"), dataset_sha256="b", rows=rows)
+    (note,) = drift(first, x).notes
+    assert note.startswith("4 of 4 gaze rows are those of the first run")
+    far = replace(made(TRUTH, "far"), dataset_sha256="b", rows=others)
+    assert drift(first, far).notes == ()
+
+
+def test_u_is_compared_at_the_same_depths() -> None:
+    """Property: u = c z^2 comes back between the depths of the table, and nothing outside."""
+    z = np.linspace(500, 2000, 21)
+    one = replace(made(TRUTH), depth_u=(tuple(z), tuple(1e-6 * z**2)))
+    assert one.u_at(777.0) == pytest.approx(1e-6 * 777**2, rel=1e-3)
+    assert one.u_at(499.0) is None
+    (_, rows) = next(t for t in tables([one, one], []) if t[0] == "u(z), mm")
+    assert all(row[1] == row[2] for row in rows[1:])

@@ -95,7 +95,7 @@ def test_wrong_use_is_explained(arguments: list[str], message: str) -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--depth", "far"], "'far': give a positive number"),
+        (["--depth", "far"], "'far': give a depth in mm"),
         (["--depth", "800", "--yaw", "20", "190"], "'190': give an angle"),
         (["--depth", "800", "--rows", "0"], "'0': give a whole number from 1"),
         (["--depth", "800", "--seed", "-1"], "give a whole number from 0"),

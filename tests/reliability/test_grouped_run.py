@@ -134,7 +134,7 @@ def test_measure_names_the_source(
     assert len(positions(path, table, "--model", "average", capsys=capsys)) == 2
     # A program that does not know the new section finds the same uncertainty, less finely told.
     document = json.loads(path.read_text())
-    del document["measurement"]["shared_by_rows"]
+    del document["measurement"]["shared_by_rows"], document["integrity"]
     older = tmp_path / "older.json"
     older.write_text(json.dumps(document))
     new, old = (positions(p, table, capsys=capsys) for p in (path, older))

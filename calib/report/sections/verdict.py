@@ -40,7 +40,7 @@ def verdict(c: Calibration, context: ReportContext) -> Section:
             Items((*c.disagreements, *c.warnings)),
         ]
     if c.gaze is not None and c.gaze.calibrated is not None:
-        blocks += _use(c.gaze.calibrated)
+        blocks += _use(c.gaze.calibrated, passed=c.passed)
     blocks.append(_gates(c))
     return Section("verdict", "Verdict", tuple(blocks))
 
@@ -174,7 +174,16 @@ def _validation_tiles(gaze: GazeResult, context: ReportContext) -> list[tuple[Te
     ]
 
 
-def _use(calibrated: CalibratedInstrument) -> list[Block]:
+def _use(calibrated: CalibratedInstrument, *, passed: bool) -> list[Block]:
+    if not passed:
+        return [
+            Paragraph(
+                Markup(
+                    "<strong>Do not use this result.</strong> A check failed; mend what it names "
+                    "and calibrate again. Until then, whatever uses this calibration says so."
+                )
+            )
+        ]
     low, high = calibrated.calibrated_mm
     return [
         Paragraph(

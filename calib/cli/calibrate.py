@@ -1,0 +1,71 @@
+"""`calib calibrate`: the whole chain on a dataset."""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+import signal
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from calib.cli.arguments import add_input, add_output, depth, natural, run_folder
+from calib.core.errors import UsageError
+from calib.stages.interruption import interrupt_on
+from calib.stages.output_guard import RUN_FOLDER
+
+if TYPE_CHECKING:
+    from calib.dataset.contents import Dataset
+
+DONE, GATE_FAILED = 0, 3
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's arguments."""
+    add_input(parser, "dataset", metavar="DATASET", help="folder with dataset.toml")
+    add_output(parser, "--out", kind=RUN_FOLDER, metavar="DIR", help="default: reports/NAME")
+    parser.add_argument("--seed", type=natural, default=0, metavar="N", help="default: 0")
+    parser.add_argument(
+        "--depths", type=depth, nargs=2, metavar=("LOW", "HIGH"),
+        help="range of the depth uncertainty table, mm; default: that of the rows",
+    )  # fmt: skip
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the chain and return the exit status: 3 if a gate failed."""
+    from calib.cli.console import summary
+    from calib.dataset.load import load_dataset
+    from calib.stages.manifest import finished_before, run_fingerprint
+
+    depths = tuple(arguments.depths) if arguments.depths else None
+    if depths is not None and not depths[0] < depths[1]:
+        raise UsageError("--depths: give two depths in mm, LOW < HIGH")
+    interrupt_on(signal.SIGINT, signal.SIGTERM)
+    dataset = load_dataset(arguments.dataset)
+    out = run_folder(arguments.out, dataset.root, force=arguments.force)
+    settings = {"seed": arguments.seed, "depths_mm": depths}
+    if finished_before(out, run_fingerprint(dataset.sha256, settings)):
+        print(f"{out}: up to date, nothing has changed")
+    else:
+        _run_chain(dataset, out, settings)
+    text, passed = summary(out)
+    print(text)
+    return DONE if passed else GATE_FAILED
+
+
+def _run_chain(dataset: Dataset, out: Path, settings: dict[str, Any]) -> None:
+    from calib.chain.calibrate import Options, calibrate
+    from calib.cli.console import Console
+
+    console = Console()
+    try:
+        calibrate(
+            dataset,
+            out,
+            Options(**settings),
+            announce=console.announce,
+            progress=console.progress,
+            command=shlex.join(["calib", *sys.argv[1:]]),
+        )
+    finally:
+        console.close()

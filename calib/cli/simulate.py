@@ -1,0 +1,71 @@
+"""`calib simulate`: a dataset with known truth."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from functools import partial
+
+from calib.cli.arguments import add_output, natural, whole
+from calib.core.errors import UsageError
+from calib.stages.output_guard import OutputKind
+
+MOST_ROWS = 1_000_000
+"""What a table of a dataset may hold."""
+
+LARGEST_SETTING = 1e6
+"""Of a parameter: a kilometre of baseline, or as many radians, is a slip of the keyboard."""
+
+NEW_FOLDER = OutputKind(is_folder=True)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's arguments."""
+    rows = partial(whole, least=0, most=MOST_ROWS)
+    add_output(parser, "out", kind=NEW_FOLDER, metavar="OUT", help="folder to make")
+    parser.add_argument("--seed", type=natural, required=True, metavar="N")
+    parser.add_argument("--images", action="store_true", help="render the whole rig's pictures")
+    parser.add_argument("--model", default="axis-offset", help="default: axis-offset")
+    parser.add_argument("--rows", type=rows, default=14, metavar="N", help="default: 14")
+    parser.add_argument("--validation-rows", type=rows, default=10, metavar="N", help="default: 10")
+    parser.add_argument(
+        "--outliers", type=float, default=0.0, metavar="SHARE", help="of rows with gross errors"
+    )
+    parser.add_argument(
+        "--set", action="append", default=[], metavar="NAME=VALUE", help="fix a parameter"
+    )
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Write the dataset and say so."""
+    from calib.cli.console import Console
+    from calib.simulate.contents import SimulationOptions
+    from calib.simulate.dataset import simulate_dataset
+
+    options = SimulationOptions(
+        seed=arguments.seed,
+        model=arguments.model,
+        rows=arguments.rows,
+        validation_rows=arguments.validation_rows,
+        images=arguments.images,
+        outlier_share=arguments.outliers,
+        fixed=dict(_assignment(text) for text in arguments.set),
+    )
+    console = Console()
+    try:
+        simulate_dataset(arguments.out, options, progress=partial(console.progress, "images"))
+    finally:
+        console.close()
+    print(f"{arguments.out}: written, with its truth in truth.json")
+    return 0
+
+
+def _assignment(text: str) -> tuple[str, float]:
+    name, _, value = text.partition("=")
+    try:
+        number = float(value)
+    except ValueError:
+        raise UsageError(f"--set {text}: give NAME=VALUE, for example axis_z_mm=-20") from None
+    if math.isfinite(number) and abs(number) > LARGEST_SETTING:
+        raise UsageError(f"--set {text}: lengths are in mm, angles in rad; give it in these units")
+    return name, number

@@ -1,0 +1,175 @@
+"""The manifest of a run's outputs: digests written last and read first.
+
+While outputs are written the manifest says that they are not complete; so a kill or a full disk at
+any moment leaves a set of files that is known to be broken, never one that passes for a run. A copy
+of one file elsewhere has no manifest, and is taken by itself.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+from calib.core.errors import InputError, Problem, UsageError
+from calib.core.mrcal_python import mrcal_identity
+from calib.stages.fingerprint import digest, whole_code
+from calib.stages.provenance import direct_packages
+from calib.stages.store import CACHE, write_bytes
+
+MANIFEST = "manifest.json"
+FORMER = Path(CACHE) / "outputs.json"
+"""Where versions before the manifest kept their digests: what they wrote is taken as it is."""
+
+FORMAT = 1
+LIMIT_BYTES = 1_000_000
+AGAIN = "run calib calibrate again"
+
+
+def run_fingerprint(dataset_sha256: str, options: Mapping[str, Any]) -> str:
+    """Return what all outputs of a run depend on: data, options, code, package versions."""
+    return digest(dataset_sha256, dict(options), whole_code(), direct_packages(), mrcal_identity())
+
+
+def begin_outputs(out: Path, names: Iterable[str]) -> None:
+    """Say that the outputs of a run are being written.
+
+    Parameters
+    ----------
+    names
+        Of the files to come.
+
+    Raises
+    ------
+    UsageError
+        If one of them is there and is no file of an earlier run.
+    """
+    document = _document(out / MANIFEST)
+    known = {str(name) for name in _files(document)}
+    for name in names:
+        path = out / name
+        if path.is_symlink() or (path.exists() and not path.is_file()):
+            raise UsageError(f"{path}: is no plain file; move it, or choose another --out")
+        if document is not None and path.exists() and name not in known:
+            raise UsageError(
+                f"{path}: is no file of the run that {out} holds, and would be replaced; move it, "
+                "or choose another --out"
+            )
+    files = dict.fromkeys(sorted(known | set(names)))
+    _write(out, {"format": FORMAT, "complete": False, "files": files})
+    (out / FORMER).unlink(missing_ok=True)
+
+
+def end_outputs(out: Path, fingerprint: str, names: Iterable[str]) -> None:
+    """Say that the outputs of a run are whole, and what they are."""
+    files = {name: _digest(out / name) for name in names}
+    _write(out, {"format": FORMAT, "complete": True, "fingerprint": fingerprint, "files": files})
+
+
+def _write(out: Path, document: Mapping[str, Any]) -> None:
+    write_bytes(out / MANIFEST, (json.dumps(document, indent=1) + "\n").encode())
+
+
+def finished_before(out: Path, fingerprint: str) -> bool:
+    """Return whether the folder holds all files of a run with this fingerprint, untouched."""
+    document = _document(out / MANIFEST)
+    return document is not None and document.get("fingerprint") == fingerprint and not faults(out)
+
+
+def faults(out: Path) -> tuple[Problem, ...]:
+    """Return what is wrong with the outputs in the folder of a run; nothing if they are whole."""
+    document = _document(out / MANIFEST)
+    if document is None:
+        what = "is missing or damaged: the run that wrote this folder did not finish"
+        return (Problem(str(out / MANIFEST), what, AGAIN),)
+    if document.get("complete") is not True:
+        what = "the run that wrote this folder did not finish: its files may be of two runs"
+        return (Problem(str(out), what, AGAIN),)
+    found = []
+    for name, wanted in _files(document).items():
+        try:
+            if _digest(out / name) != wanted:
+                what = "is not what the run wrote (its SHA-256 differs from that in the manifest)"
+                found.append(Problem(str(out / name), what, AGAIN))
+        except OSError as error:
+            what = f"cannot be read ({error.strerror or error})"
+            found.append(Problem(str(out / name), what, AGAIN))
+    return tuple(found)
+
+
+def refuse_broken(file: Path, *, edited: bool = False) -> None:
+    """Raise if a file lies in the folder of a run that is not whole, or is not the run's.
+
+    Parameters
+    ----------
+    file
+        A calibration that is about to be used; one that lies elsewhere is not looked into.
+    edited
+        Whether the user wants the file although it was edited.
+
+    Raises
+    ------
+    InputError
+        Naming it, with the remedy.
+    """
+    folder = file.parent
+    if not _is_run(folder):
+        return
+    document = _document(folder / MANIFEST)
+    if document is None or document.get("complete") is not True:
+        raise InputError(faults(folder)[:1])
+    wanted = _files(document).get(file.name)
+    if wanted is not None and not edited and _digest(file) != wanted:
+        raise InputError.single(
+            where=str(file),
+            what="is not what the run wrote: it was edited, or is of another run than the "
+            "certificate beside it",
+            remedy=f"{AGAIN}, or use it as it is with --allow-edited",
+        )
+
+
+def refuse_broken_folder(folder: Path) -> None:
+    """Raise if a folder holds a run whose outputs are not whole and untouched.
+
+    Raises
+    ------
+    InputError
+        Naming each file.
+    """
+    if _is_run(folder) and (found := faults(folder)):
+        raise InputError(found)
+
+
+def _is_run(folder: Path) -> bool:
+    """Return whether a folder is that of a run that has a manifest, or should have one."""
+    if (folder / MANIFEST).exists():
+        return True
+    return (folder / CACHE).exists() and not (folder / FORMER).exists()
+
+
+def _files(document: Mapping[str, Any] | None) -> dict[str, Any]:
+    files = None if document is None else document.get("files")
+    if not isinstance(files, dict):
+        return {}
+    return {name: value for name, value in files.items() if Path(name).name == name}
+
+
+def _document(path: Path) -> dict[str, Any] | None:
+    """Return a JSON object; None if there is none that can be read."""
+    try:
+        if path.stat().st_size > LIMIT_BYTES:
+            return None
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return None
+    return document if isinstance(document, dict) else None
+
+
+def _digest(path: Path) -> str:
+    with path.open("rb") as file:
+        found = sha256()
+        while chunk := file.read(1 << 20):
+            found.update(chunk)
+    return found.hexdigest()

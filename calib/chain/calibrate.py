@@ -107,6 +107,7 @@ def calibrate(
             name=dataset.manifest.name,
             title=dataset.manifest.title,
             sha256=dataset.sha256,
+            rig=dataset.manifest.rig,
             seed=options.seed,
             cameras=dataset.cameras,
             images=result,

@@ -81,9 +81,7 @@ def check_cotangents(cells: Cells, values: FloatArray) -> None:
     )
 
 
-def check_sight_lines(
-    cells: Cells, x1c: FloatArray, alpha2: FloatArray, *, is_left: bool
-) -> None:
+def check_sight_lines(cells: Cells, x1c: FloatArray, alpha2: FloatArray, *, is_left: bool) -> None:
     """Report rows whose lines of sight part, so that the target would lie behind the cameras.
 
     Parameters

@@ -80,12 +80,12 @@ def _scanned(cells: Cells, table: T_table) -> Scanned[T_table]:
     return Scanned(table, shortened(cells.problems, where=cells.file))
 
 
-def read_gaze(text: str, *, name: str, is_left: bool = False) -> GazeTable:
+def read_gaze(text: str, *, name: str) -> GazeTable:
     """Return calibration or validation rows, each with a reference depth; `scan_gaze` or raise."""
-    return scan_gaze(text, name=name, is_left=is_left).sound()
+    return scan_gaze(text, name=name).sound()
 
 
-def read_measurements(text: str, *, name: str, is_left: bool = False) -> GazeTable:
+def read_measurements(text: str, *, name: str) -> GazeTable:
     """Return rows to be measured; a reference depth may be there, to be compared.
 
     Parameters
@@ -94,15 +94,13 @@ def read_measurements(text: str, *, name: str, is_left: bool = False) -> GazeTab
         Of the CSV table.
     name
         Of its file, for messages.
-    is_left
-        Whether C2 stands at -X of C1.
 
     Raises
     ------
     InputError
         Listing all faults of the table.
     """
-    return scan_gaze(text, name=name, reference=False, is_left=is_left).sound()
+    return scan_gaze(text, name=name, reference=False).sound()
 
 
 def read_sweep(text: str, *, name: str) -> SweepTable:

@@ -78,9 +78,7 @@ def _write_table(right: Path, left: Path, widths: dict[str, int]) -> None:
         writer.writerows(rows)
 
 
-def _write_corners(
-    right: Path, left: Path, board: dict[str, Any], widths: dict[str, int]
-) -> None:
+def _write_corners(right: Path, left: Path, board: dict[str, Any], widths: dict[str, int]) -> None:
     """Write the cache with each row of corners from the other end: boards stay boards."""
     views: dict[str, list[list[str]]] = {}
     lines = (right / board["corners"]).read_text().splitlines()

@@ -309,9 +309,9 @@ def _check_mounting(pose_12: FloatArray, *, is_left: bool) -> None:
     if not (x < 0 if is_left else x > 0):
         other = "right" if is_left else "left"
         raise EstimationError(
-            f"stereo: C2 stands at X = {x:.1f} mm of C1, on its {other}: if the turning camera does "
-            f'stand there, write c2 = "{other}" in [rig]; if not, C1 and C2 are swapped (C2 is the '
-            "turning camera): exchange [stereo] c1 and c2, and [cameras] with them"
+            f"stereo: C2 stands at X = {x:.1f} mm of C1, on its {other}: if the turning camera "
+            f'does stand there, write c2 = "{other}" in [rig]; if not, C1 and C2 are swapped (C2 '
+            "is the turning camera): exchange [stereo] c1 and c2, and [cameras] with them"
         )
     along = rotation(pose_12[:3])
     roll = float(np.arctan2(along[1, 0], along[1, 1]))

@@ -17,7 +17,7 @@ from calib.geometry.mirror import (
     signed,
     signs,
 )
-from calib.rows.common_errors import Shared
+from calib.rows.common_errors import FRESH, Shared
 from calib.rows.from_table import CameraSet, Setup, ValidationRows
 from calib.rows.observations import Observations
 
@@ -38,7 +38,9 @@ class Mirror:
     @classmethod
     def of(cls, shared: Shared) -> Mirror:
         """Return the mirror for a rig's shared errors."""
-        moved = shared.factor != 0
+        # What is left of rounding before a column's first quantity moves nothing.
+        size = np.linalg.norm(shared.factor, axis=1, keepdims=True)
+        moved = np.abs(shared.factor) > FRESH / 2 * size
         first = moved.argmax(axis=0) if len(moved) else np.zeros(0, dtype=np.int64)
         return cls(shared_signs([shared.names[i] for i in first]))
 

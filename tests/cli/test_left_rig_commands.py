@@ -92,18 +92,6 @@ def test_planned_targets_are_gazed_at_from_the_left(
         assert alpha2 == pytest.approx(expected, abs=0.1)
 
 
-def test_a_left_rig_said_to_be_right_is_told_so(
-    rig: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    for name in ("gaze.csv", "validation.csv", "lengths.csv"):
-        (tmp_path / name).write_bytes((rig / "rig" / name).read_bytes())
-    text = (rig / "rig" / "dataset.toml").read_text()
-    (tmp_path / "dataset.toml").write_text(text.replace('c2 = "left"', 'c2 = "right"'))
-    done = call(capsys, "check", tmp_path)
-    assert done.status == 2
-    assert 'write c2 = "left" in [rig]' in done.err
-
-
 def test_a_baseline_on_the_other_side_is_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -10,7 +10,7 @@ from calib.certificate.inputs import (
     Issue,
     Provenance,
 )
-from calib.dataset.manifest import Certificate, Manifest
+from calib.dataset.manifest import Certificate, Manifest, Rig
 from calib.instrument.calibrated import CalibratedInstrument
 from calib.results.calibration import Calibration, GazeResult
 from calib.results.fits_document import effective_baseline
@@ -46,7 +46,7 @@ def assemble(
     if gaze is None or gaze.calibrated is None:
         raise ValueError("without a calibrated instrument there is nothing to certify")
     return CertificateInputs(
-        administration=_administration(manifest.certificate),
+        administration=_administration(manifest.certificate, manifest.rig),
         issue=issue,
         provenance=Provenance(
             dataset_name=calibration.name,
@@ -65,8 +65,9 @@ def assemble(
     )
 
 
-def _administration(stated: Certificate) -> Administration:
+def _administration(stated: Certificate, rig: Rig) -> Administration:
     values = stated.model_dump(exclude={"tolerance", "decision_rule"})
+    values["serial"] = stated.serial or rig.serial
     return Administration(**values)
 
 

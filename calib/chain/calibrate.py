@@ -29,6 +29,8 @@ from calib.geometry.parameters import MODELS
 from calib.instrument.averaging import build_average
 from calib.instrument.calibrated import build_instrument, measure_validation, tabulate_depths
 from calib.instrument.evidence import gather_evidence
+from calib.mirror.gaze import mirror_gaze
+from calib.mirror.problem import Mirror, mirror_priors
 from calib.results.calibration import Calibration, GazeResult
 from calib.rows.from_table import ValidationRows, observe_validation, row_priors
 from calib.rows.observations import Observations
@@ -92,6 +94,12 @@ def calibrate(
             rows = gaze_rows(dataset, dataset.gaze, store, images)
             if rows.failed is not None:
                 failures["gaze rows"] = rows.failed
+            elif dataset.manifest.rig.is_left:
+                mirror = Mirror.of(images.shared.value)
+                mirrored = given("mirrored rows", mirror.rows(rows.value))
+                setup = gaze_setup(dataset, images)
+                gaze = _gaze_chain(dataset, options, store, images, mirrored, mirror)
+                gaze = mirror_gaze(gaze, mirror, rows=rows.value, setup=setup)
             else:
                 gaze = _gaze_chain(dataset, options, store, images, rows)
         result = images.result()
@@ -99,6 +107,7 @@ def calibrate(
             name=dataset.manifest.name,
             title=dataset.manifest.title,
             sha256=dataset.sha256,
+            rig=dataset.manifest.rig,
             seed=options.seed,
             cameras=dataset.cameras,
             images=result,
@@ -133,12 +142,18 @@ def _gaze_chain(
     store: Store,
     images: ImageStages,
     rows: Staged[Observations],
+    mirror: Mirror | None = None,
 ) -> GazeResult:
-    """From gaze rows to the calibrated instrument and what it measures."""
-    run = store.run
-    priors = given("priors", Priors(row_priors(dataset), images.measured()))
+    """From gaze rows to the calibrated instrument and what it measures.
+
+    With a mirror, all of it is that of the rig's mirror image, whose rows these then are.
+    """
+    run, is_left = store.run, mirror is not None
+    known = Priors(row_priors(dataset), images.measured())
+    priors = given("priors", mirror_priors(known) if is_left else known)
     # fmt: off
-    encoder_direction = run(stage("encoder direction", check_encoder_direction, rows))
+    encoder_direction = run(stage("encoder direction", check_encoder_direction, rows,
+                                  is_left=is_left))
     linear = run(stage("base/linear", fit_linear, rows))
     convex = run(stage("base/convex", fit_convex, rows))
     robust = {model: run(stage(f"{model}/robust", fit_model, rows, priors, model=model))
@@ -175,7 +190,7 @@ def _gaze_chain(
     result = replace(result, identifiability={name: s.value for name, s in identified.items()})
     chains = {name: posterior[name] for name in result.posterior}
     fitted = _Fitted(rows, priors, fits, chains)
-    return _measure(dataset, options, store, images, fitted, result)
+    return _measure(dataset, options, store, images, fitted, result, mirror)
 
 
 @dataclass(frozen=True)
@@ -195,16 +210,22 @@ def _measure(
     images: ImageStages,
     fitted: _Fitted,
     result: GazeResult,
+    mirror: Mirror | None,
 ) -> GazeResult:
     """Select a model and find what the instrument then measures."""
     run, seed, rows, priors = store.run, options.seed, fitted.rows, fitted.priors
     fits, posteriors = gather(fitted.robust), gather(fitted.posterior)
     validation = _validation(dataset, store, images)
+    own = gaze_setup(dataset, images)
+    setup = given("setup", own)
+    if mirror is not None:
+        setup = given("setup", mirror.setup(own))
+        if validation is not None:
+            validation = given("mirrored validation rows", mirror.validation(validation.value))
     references = rows.value.z_mm
     if validation is not None:
         references = np.append(references, validation.value.rows.z_mm)
     low, high = options.depths_mm or (float(references.min()), float(references.max()))
-    setup = given("setup", gaze_setup(dataset, images))
     # fmt: off
     comparison = run(stage("comparison", compare_models,
                            rows, fits, posteriors, priors, optional(validation), seed=seed))

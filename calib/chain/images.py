@@ -210,7 +210,9 @@ def _rig(
         return None
     both = c1.value, c2.value
     return given("camera pair", CameraPair(
-        (both[0].camera, both[1].camera), (both[0].covariance, both[1].covariance)
+        (both[0].camera, both[1].camera),
+        (both[0].covariance, both[1].covariance),
+        is_left=dataset.manifest.rig.is_left,
     ))  # fmt: skip
 
 

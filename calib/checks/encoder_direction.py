@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -21,55 +21,93 @@ PLAUSIBLE_ZERO_RAD = float(np.deg2rad(20.0))
 """Encoder zeros beyond this are reference marks on the wrong side, not errors."""
 
 
-def _score(rows: Observations) -> tuple[float, float, float]:
-    """Return the log likelihood of the best start, its baseline, mm, and encoder zero, rad."""
-    theta = find_start(rows, axis_z=True)
-    standardised = misclosure_value(theta, rows.gaze, rows.z_mm) / row_noise(theta, rows).sigma
-    density = float(log_density(standardised[:, None], SCALE_GRID[None]).sum(axis=0).max())
-    return density, float(theta[INDEX["baseline_mm"]]), float(theta[INDEX["delta2_rad"]])
+@dataclass(frozen=True)
+class _Fit:
+    """The best start on rows: its log likelihood, baseline, mm, and encoder zero, rad."""
+
+    density: float
+    baseline: float
+    delta2: float
+
+    @classmethod
+    def of(cls, rows: Observations) -> _Fit:
+        theta = find_start(rows, axis_z=True)
+        standardised = misclosure_value(theta, rows.gaze, rows.z_mm) / row_noise(theta, rows).sigma
+        density = float(log_density(standardised[:, None], SCALE_GRID[None]).sum(axis=0).max())
+        return cls(density, float(theta[INDEX["baseline_mm"]]), float(theta[INDEX["delta2_rad"]]))
+
+    @property
+    def plausible(self) -> bool:
+        """Whether the zero is one that a rig may have."""
+        return abs(self.delta2) < PLAUSIBLE_ZERO_RAD
+
+    def words(self, sign: float) -> str:
+        """Return the figures in the rig's own frame, of which this may be the mirror image."""
+        return (
+            f"L_b = {sign * self.baseline:.1f} mm, delta2 = {sign * np.rad2deg(self.delta2):.2f} "
+            f"deg, log likelihood {self.density:.1f}"
+        )
 
 
-def _plausible(baseline: float, delta2: float) -> bool:
-    return baseline > 0 and abs(delta2) < PLAUSIBLE_ZERO_RAD
-
-
-def check_encoder_direction(rows: Observations) -> Gate:
+def check_encoder_direction(rows: Observations, *, is_left: bool = False) -> Gate:
     """Return whether encoder and baseline have the signs of the frame.
 
-    The encoder counts from -X towards +Z and C2 stands at +X. If the mirrored encoder explains the
-    rows far better, or only it with a baseline above 0, its sign is wrong; if a baseline below 0
-    explains them, C1 and C2 are swapped or the images mirrored.
+    The encoder counts from -X towards +Z, and C2 stands on the side that is stated. Rows fit either
+    as read or with the encoder reversed, and with a baseline on either side. As read and on the
+    other side, C2 stands there, or C1 and C2 are swapped. Reversed and on this side, the encoder
+    counts the wrong way round. Reversed and on the other side, x1c is mirrored, or C2 stands there
+    and the encoder counts the wrong way round: rows cannot tell the two.
+
+    Parameters
+    ----------
+    rows
+        The rig's; with `is_left` those of its mirror image, in which C2 stands at +X.
+    is_left
+        Whether C2 stands at -X of C1.
     """
     name, rows = "encoder-direction", some_rows(rows)
-    mirrored = replace(
+    reversed_rows = replace(
         rows, alpha2_rad=np.pi - rows.alpha2_rad, gaze_residual_rad=-rows.gaze_residual_rad
     )
     try:
-        score, baseline, delta2 = _score(rows)
+        read = _Fit.of(rows)
     except EstimationError as error:
         return Gate(name, passed=False, detail=str(error))
     try:
-        other, other_baseline, other_delta2 = _score(mirrored)
+        turned = _Fit.of(reversed_rows)
     except EstimationError:
-        other, other_baseline, other_delta2 = -np.inf, 0.0, 0.0
-    figures = (
-        f"as read L_b = {baseline:.1f} mm, delta2 = {np.rad2deg(delta2):.2f} deg, log likelihood "
-        f"{score:.1f}; with the encoder reversed L_b = {other_baseline:.1f} mm, delta2 = "
-        f"{np.rad2deg(other_delta2):.2f} deg, log likelihood {other:.1f}"
-    )
-    fits, other_fits = _plausible(baseline, delta2), _plausible(other_baseline, other_delta2)
-    if other_fits and (other > score + DECISIVE or not fits):
-        return Gate(
-            name,
-            passed=False,
-            detail=f"the encoder counts the wrong way round: {figures}; "
+        turned = _Fit(-np.inf, 0.0, 0.0)
+    sign = -1.0 if is_left else 1.0
+    figures = f"as read {read.words(sign)}; with the encoder reversed {turned.words(sign)}"
+    fault = _fault(read, turned, is_left=is_left)
+    if fault is None:
+        return Gate(name, passed=True, detail=figures)
+    what, remedy = fault
+    return Gate(name, passed=False, detail=f"{what}: {figures}; {remedy}")
+
+
+def _fault(read: _Fit, turned: _Fit, *, is_left: bool) -> tuple[str, str] | None:
+    """Return what is wrong and its remedy; None if the signs are as stated."""
+    here, there = ("-X", "+X") if is_left else ("+X", "-X")
+    other = "right" if is_left else "left"
+    fits = read.plausible and read.baseline > 0
+    decisive = turned.density > read.density + DECISIVE
+    if turned.plausible and turned.baseline > 0 and (decisive or not fits):
+        return (
+            "the encoder counts the wrong way round",
             "give 180 deg less the reading as alpha2_deg",
         )
-    if baseline <= 0:
-        return Gate(
-            name,
-            passed=False,
-            detail=f"the baseline is negative: {figures}; C2 must stand at +X of C1: "
-            "are C1 and C2 swapped, or is x1c mirrored?",
+    if turned.plausible and turned.baseline < 0 and decisive:
+        return (
+            "x1c has the wrong sign",
+            "X of C1 counts to the right: are C1's pictures mirrored? Or, if C2 stands on the "
+            f'{other} of C1, write c2 = "{other}" in [rig] and give 180 deg less the reading as '
+            "alpha2_deg",
         )
-    return Gate(name, passed=True, detail=figures)
+    if read.baseline <= 0:
+        return (
+            f"C2 stands at {there} of C1, not at {here}",
+            f'if it does, write c2 = "{other}" in [rig]; if not, C1 and C2 are swapped, or x1c '
+            "and alpha2 both have the wrong sign",
+        )
+    return None

@@ -25,6 +25,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_output(parser, "out", kind=NEW_FOLDER, metavar="OUT", help="folder to make")
     parser.add_argument("--seed", type=natural, required=True, metavar="N")
     parser.add_argument("--images", action="store_true", help="render the whole rig's pictures")
+    parser.add_argument(
+        "--c2", choices=("right", "left"), default="right", help="side of C1; default: right"
+    )
     parser.add_argument("--model", default="axis-offset", help="default: axis-offset")
     parser.add_argument("--rows", type=rows, default=14, metavar="N", help="default: 14")
     parser.add_argument("--validation-rows", type=rows, default=10, metavar="N", help="default: 10")
@@ -48,6 +51,7 @@ def run(arguments: argparse.Namespace) -> int:
         rows=arguments.rows,
         validation_rows=arguments.validation_rows,
         images=arguments.images,
+        is_left=arguments.c2 == "left",
         outlier_share=arguments.outliers,
         fixed=dict(_assignment(text) for text in arguments.set),
     )

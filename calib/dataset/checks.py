@@ -44,6 +44,8 @@ def faults(dataset: Dataset, *, rows_to_come: bool = False) -> Iterator[Problem]
         Whether gaze rows are still to be taken: few or none are no fault then.
     """
     yield from _missing_sections(dataset)
+    yield from _other_side(dataset)
+    yield from _two_serials(dataset)
     yield from _too_few_images(dataset)
     if not rows_to_come:
         yield from _too_few_rows(dataset)
@@ -93,6 +95,37 @@ def _gaze_doubts(dataset: Dataset, gaze: GazeTable) -> Iterator[str]:
             f"{gaze.file}: all targets stand at nearly the same depth, {known.min():g} to "
             f"{known.max():g} mm: baseline and zero error can hardly be distinguished; add targets "
             "nearer and farther"
+        )
+
+
+def _other_side(dataset: Dataset) -> Iterator[Problem]:
+    """Yield a pose that puts C2 on the other side of C1 than the manifest says."""
+    stereo, prior = dataset.manifest.stereo, dataset.manifest.priors.get("baseline_mm")
+    places: list[tuple[str, float, str]] = []
+    if stereo is not None and stereo.transform is not None:
+        remedy = "give the pose of C2 in C1: the inverse of OpenCV's R, T, which map C1 to C2"
+        places.append(("[stereo] transform", stereo.transform[0][3], remedy))
+    if prior is not None:
+        places.append(("[priors] baseline_mm", prior.mean, "give the X of the yaw axis, signed"))
+    stands, other = ("-X", "right") if dataset.manifest.rig.is_left else ("+X", "left")
+    for place, x, remedy in places:
+        if (x < 0) != dataset.manifest.rig.is_left or x == 0:
+            yield Problem(
+                where=f"{MANIFEST}, {place}",
+                what=f"it puts C2 at X = {x:g} mm of C1, but C2 stands on the {stands} side",
+                remedy=f"{remedy}; or, if C2 does stand on the {other} of C1, write "
+                f'c2 = "{other}" in [rig]',
+            )
+
+
+def _two_serials(dataset: Dataset) -> Iterator[Problem]:
+    """Yield serial numbers of rig and certificate that contradict each other."""
+    rig, certificate = dataset.manifest.rig.serial, dataset.manifest.certificate.serial
+    if rig is not None and certificate is not None and rig != certificate:
+        yield Problem(
+            where=f"{MANIFEST}, [certificate] serial",
+            what=f"{shown(certificate)} is not the serial of [rig], {shown(rig)}",
+            remedy="state it once, in [rig]",
         )
 
 

@@ -51,11 +51,14 @@ class Parsed:
         Relative names of the tables by section, as far as they can be read in spite of problems.
     problems
         All faults of the manifest taken alone.
+    is_left
+        Whether C2 stands at -X of C1, in spite of problems elsewhere.
     """
 
     manifest: Manifest | None
     tables: Mapping[str, str]
     problems: tuple[Problem, ...]
+    is_left: bool = False
 
 
 def parse_manifest(data: bytes) -> Parsed:
@@ -70,13 +73,16 @@ def parse_manifest(data: bytes) -> Parsed:
         for name in ("gaze", "validation", "sweep", "lengths")
         if isinstance(section := raw.get(name), dict) and isinstance(section.get("table"), str)
     }
+    rig = raw.get("rig")
+    is_left = isinstance(rig, dict) and rig.get("c2") == "left"
     try:
-        return Parsed(Manifest.model_validate(raw), tables, ())
+        return Parsed(Manifest.model_validate(raw), tables, (), is_left)
     except ValidationError as error:
         lines = key_lines(text)
         details = error.errors(include_url=False)
         problems = [_translate(d, lines) for d in details[:LISTED_PROBLEMS]]
-        return Parsed(None, tables, shortened(problems, where=MANIFEST, total=len(details)))
+        told = shortened(problems, where=MANIFEST, total=len(details))
+        return Parsed(None, tables, told, is_left)
 
 
 def parse_toml(text: str, *, file: str) -> dict[str, Any]:

@@ -162,11 +162,6 @@ def _pose(rows: tuple[Row4, Row4, Row4, Row4]) -> tuple[Row4, Row4, Row4, Row4]:
         or np.linalg.det(rotation) < 0
     ):
         refuse("its upper left 3 x 3 part is no rotation", "check its rows, signs and digits")
-    if translation[0] <= 0:
-        refuse(
-            f"it puts C2 at X = {translation[0]:g} mm of C1, but C2 stands on the +X side",
-            "give the pose of C2 in C1: the inverse of OpenCV's R, T, which map C1 to C2",
-        )
     if np.linalg.norm(translation) < SMALLEST_STEREO_BASELINE_MM:
         refuse(f"its translation {translation[0]:g} looks like metres", "give it in millimetres")
     return rows

@@ -101,8 +101,9 @@ class _Loading:
         parsed = parse_manifest(data)
         self.problems += parsed.problems
         tables = parsed.tables
-        gaze = self._table(tables, "gaze", scan_gaze)
-        validation = self._table(tables, "validation", scan_gaze)
+        scan_rows = partial(scan_gaze, is_left=parsed.is_left)
+        gaze = self._table(tables, "gaze", scan_rows)
+        validation = self._table(tables, "validation", scan_rows)
         sweep = self._table(tables, "sweep", scan_sweep)
         lengths = self._table(tables, "lengths", scan_lengths)
         manifest = parsed.manifest

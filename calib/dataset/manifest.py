@@ -222,6 +222,18 @@ class Stereo(Section):
         return self
 
 
+class Rig(Section):
+    """The rig: the side of C1 on which C2 stands, +X or -X, and the rig's serial number."""
+
+    c2: Literal["right", "left"] = "right"
+    serial: Line | None = None
+
+    @property
+    def is_left(self) -> bool:
+        """Whether C2 stands at -X of C1."""
+        return self.c2 == "left"
+
+
 class Encoder(Section):
     """The yaw encoder: one count or microstep, and what else is uncertain of a reading."""
 
@@ -332,6 +344,7 @@ class Manifest(Section):
     name: Line
     title: Line = ""
     source: Source = Source()
+    rig: Rig = Rig()
     board: Board | None = None
     cameras: Cameras = Cameras()
     stereo: Stereo | None = None

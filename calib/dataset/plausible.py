@@ -61,7 +61,7 @@ def check_angles(cells: Cells, degrees: FloatArray) -> None:
         (degrees > 0) & (degrees < RADIANS_BELOW),
         "alpha2_deg",
         lambda i: f"{degrees[i]:g} among readings in degrees: radians?",
-        "give it in degrees; C2 looks parallel to Z of C1 at 90, straight at C1 at 0",
+        "give it in degrees; C2 looks parallel to Z of C1 at 90",
     )
     cells.report(
         (degrees <= 0) | (degrees >= 180),
@@ -81,7 +81,7 @@ def check_cotangents(cells: Cells, values: FloatArray) -> None:
     )
 
 
-def check_sight_lines(cells: Cells, x1c: FloatArray, alpha2: FloatArray) -> None:
+def check_sight_lines(cells: Cells, x1c: FloatArray, alpha2: FloatArray, *, is_left: bool) -> None:
     """Report rows whose lines of sight part, so that the target would lie behind the cameras.
 
     Parameters
@@ -90,7 +90,12 @@ def check_sight_lines(cells: Cells, x1c: FloatArray, alpha2: FloatArray) -> None
         Shape (n,).
     alpha2
         Readings, rad, shape (n,).
+    is_left
+        Whether C2 stands at -X of C1, where all is as in a mirror.
     """
+    if is_left:
+        x1c, alpha2 = -x1c, np.pi - alpha2
+    towards, other = ("above", "right") if is_left else ("below", "left")
     # In front of C1 they meet where x1c + cot(alpha) > 0, that is alpha < 90 deg + atan(x1c).
     parted = alpha2 - (np.pi / 2 + np.arctan(x1c))
     cells.report(
@@ -100,7 +105,8 @@ def check_sight_lines(cells: Cells, x1c: FloatArray, alpha2: FloatArray) -> None
             f"the lines of sight part by {np.rad2deg(parted[i]):.0f} degrees: "
             "the target would lie behind the cameras"
         ),
-        "check the sign of x1c (X to the right) and of alpha2 (below 90 C2 looks towards C1)",
+        f"check the sign of x1c (X to the right) and of alpha2 ({towards} 90 C2 looks towards C1); "
+        f'if C2 stands on the {other} of C1, write c2 = "{other}" in [rig]',
     )
 
 

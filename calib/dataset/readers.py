@@ -113,7 +113,9 @@ def read_lengths(text: str, *, name: str, known: bool = True) -> LengthTable:
     return scan_lengths(text, name=name, known=known).sound()
 
 
-def scan_gaze(text: str, *, name: str, reference: bool = True) -> Scanned[GazeTable]:
+def scan_gaze(
+    text: str, *, name: str, reference: bool = True, is_left: bool = False
+) -> Scanned[GazeTable]:
     """Return calibration or validation rows and their faults.
 
     Parameters
@@ -124,6 +126,8 @@ def scan_gaze(text: str, *, name: str, reference: bool = True) -> Scanned[GazeTa
         Of its file, for messages.
     reference
         Whether each row needs a reference depth.
+    is_left
+        Whether C2 stands at -X of C1.
 
     Raises
     ------
@@ -138,7 +142,7 @@ def scan_gaze(text: str, *, name: str, reference: bool = True) -> Scanned[GazeTa
     check_normalised(cells, "x1c", x1c)
     check_normalised(cells, "y1c", y1c)
     alpha2 = _alpha2(cells)
-    check_sight_lines(cells, x1c, alpha2)
+    check_sight_lines(cells, x1c, alpha2, is_left=is_left)
     z_mm, u_z_mm = _depths(cells)
     groups = cells.names("group")
     table = GazeTable(

@@ -22,6 +22,8 @@ MAX_STEPS = 100
 DONE = 1e-9
 """Gain of the whitened cost at which to stop: steps of 3e-5 standard deviations remain."""
 
+_POLISHING_STEPS = 4
+_LEAST_DAMPING = 1e-12
 _FIRST_DAMPING = 1e-4
 _MAX_DAMPING = 1e12
 
@@ -114,7 +116,7 @@ def minimise(evaluate: Callable[[FloatArray], Sequence[Block]], start: FloatArra
     for _ in range(MAX_STEPS):
         step, gain = _step(normal, damping)
         if gain < DONE and damping <= 1:
-            return Minimum(x, normal)
+            return _polished(evaluate, x, normal)
         trial = sum_blocks(evaluate(x + step), len(x))
         if trial.cost < normal.cost:
             x, normal, damping = x + step, trial, damping / 10
@@ -126,6 +128,23 @@ def minimise(evaluate: Callable[[FloatArray], Sequence[Block]], start: FloatArra
         f"bundle adjustment: no minimum within {MAX_STEPS} steps, cost {normal.cost:.3g}; "
         "check that the images belong to this board and these cameras"
     )
+
+
+def _polished(
+    evaluate: Callable[[FloatArray], Sequence[Block]], x: FloatArray, normal: Normal
+) -> Minimum:
+    """Return the minimum to rounding: full steps for as long as each promises less than the last.
+
+    Equal problems in other words, such as a rig's mirror image, then have equal results.
+    """
+    step, gain = _step(normal, _LEAST_DAMPING)
+    for _ in range(_POLISHING_STEPS):
+        trial = sum_blocks(evaluate(x + step), len(x))
+        next_step, next_gain = _step(trial, _LEAST_DAMPING)
+        if not 0 <= next_gain < gain:
+            break
+        x, normal, step, gain = x + step, trial, next_step, next_gain
+    return Minimum(x, normal)
 
 
 def _step(normal: Normal, damping: float) -> tuple[FloatArray, float]:

@@ -14,6 +14,7 @@ import numpy as np
 from calib.core.gate import Gate
 from calib.core.seal import with_digest
 from calib.core.version import __version__
+from calib.dataset.manifest import Rig
 from calib.fit.compare import Comparison, ModelScore
 from calib.fit.convex import ConvexFit
 from calib.fit.group_check import GroupCheck
@@ -98,6 +99,8 @@ class Calibration:
     ----------
     name, title, sha256
         Of the dataset.
+    rig
+        On which side C2 stands, and the rig's serial number.
     seed
         Of all random numbers.
     cameras
@@ -127,6 +130,7 @@ class Calibration:
     gates: tuple[Gate, ...]
     warnings: tuple[str, ...]
     rows: RowSketch | None = None
+    rig: Rig = field(default_factory=Rig)
     disagreements: tuple[str, ...] = ()
 
     @property
@@ -151,6 +155,7 @@ def _document(c: Calibration) -> dict[str, Any]:
         "format": FORMAT,
         "generator": f"calib {__version__}",
         "dataset": {"name": c.name, "sha256": c.sha256} | _rows(c.rows),
+        "rig": c.rig.model_dump(exclude_none=True),
         "seed": c.seed,
     }
     document |= images_document(c.cameras, c.images)

@@ -62,6 +62,8 @@ class SimulationOptions:
         Intrinsic images of each camera.
     sweep
         Yaw sweep.
+    is_left
+        Whether C2 stands at -X of C1; `fixed` is then of such a rig.
     """
 
     seed: int
@@ -78,6 +80,7 @@ class SimulationOptions:
     board: Board | None = None
     views: IntrinsicViews = field(default_factory=IntrinsicViews)
     sweep: SweepPlan = field(default_factory=SweepPlan)
+    is_left: bool = False
 
 
 @dataclass(frozen=True)
@@ -205,6 +208,7 @@ def _head(options: SimulationOptions, rig: Rig) -> Section:
         "name": f"simulated-{options.model}-{options.seed}",
         "title": f"Simulated rig of model {options.model}, seed {options.seed}, {kind}",
         "source": {"notes": "Simulated by calib; truth.json holds what a lab would not know."},
+        **({"rig": {"c2": "left"}} if rig.is_left else {}),
         "encoder": {
             "resolution_deg": degree(rig.resolution_rad),
             "u_alpha2_deg": degree(rig.noise.encoder_rad),

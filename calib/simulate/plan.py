@@ -10,7 +10,8 @@ import numpy as np
 from calib.core.errors import UsageError
 from calib.geometry.board import Board
 from calib.geometry.camera import project
-from calib.geometry.parameters import MODELS, NAMES
+from calib.geometry.mirror import SIGN
+from calib.geometry.parameters import INDEX, MODELS, NAMES
 from calib.simulate.contents import (
     Contents,
     Session,
@@ -21,7 +22,7 @@ from calib.simulate.contents import (
     finish,
     ids,
 )
-from calib.simulate.rig import Rig, draw_rig
+from calib.simulate.rig import Rig, draw_rig, mirror_rig
 from calib.simulate.scene import fitting_board
 from calib.simulate.session import draw_image_session
 from calib.simulate.tables import SimulatedRows, draw_targets, observe
@@ -41,10 +42,12 @@ def plan_dataset(options: SimulationOptions) -> Contents:
     rig = draw_rig(
         rigs,
         model=options.model,
-        fixed=options.fixed,
+        fixed=_on_the_right(options),
         image_size=options.image_size,
         noise=options.noise,
     )
+    if options.is_left:
+        rig = mirror_rig(rig)
     near, _ = options.depth_range_mm or rig.depth_range_mm
     board = options.board or fitting_board(rig, near_mm=near)
     draw = draw_image_session if options.images else _draw_table_session
@@ -54,7 +57,7 @@ def plan_dataset(options: SimulationOptions) -> Contents:
 def _check(options: SimulationOptions) -> None:
     if options.model not in MODELS:
         raise UsageError(f"unknown model {options.model!r}; the models are {', '.join(MODELS)}")
-    _check_fixed(options.fixed)
+    _check_fixed(options)
     if not 0 <= options.outlier_share <= 1:
         raise UsageError(f"a share of outliers of {options.outlier_share:g} is not between 0 and 1")
     if options.depth_range_mm is not None:
@@ -66,16 +69,27 @@ def _check(options: SimulationOptions) -> None:
             raise UsageError(f"{count} {what}; ask for {least} at least")
 
 
-def _check_fixed(fixed: Mapping[str, float]) -> None:
+def _on_the_right(options: SimulationOptions) -> Mapping[str, float]:
+    """Return the fixed parameters as they are of the rig that is drawn, with C2 on the right."""
+    if not options.is_left:
+        return options.fixed
+    return {name: float(SIGN[INDEX[name]]) * value for name, value in options.fixed.items()}
+
+
+def _check_fixed(options: SimulationOptions) -> None:
+    fixed, is_left = options.fixed, options.is_left
     unknown = [name for name in fixed if name not in NAMES]
     if unknown:
         raise UsageError(f"unknown parameter {unknown[0]!r}; they are {', '.join(NAMES)}")
     for name, value in fixed.items():
         if not math.isfinite(value):
             raise UsageError(f"{name} = {value:g} is not finite; give a number")
-    if fixed.get("baseline_mm", 1.0) <= 0:
+    baseline = fixed.get("baseline_mm", -1.0 if is_left else 1.0)
+    if not (baseline < 0 if is_left else baseline > 0):
+        stands, wanted, other = ("-X", "below", "right") if is_left else ("+X", "above", "left")
         raise UsageError(
-            f"baseline_mm = {fixed['baseline_mm']:g}: C2 stands at +X of C1; give it above 0"
+            f"baseline_mm = {baseline:g}: C2 stands at {stands} of C1; give it {wanted} 0, or say "
+            f"--c2 {other}"
         )
 
 

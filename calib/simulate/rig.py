@@ -10,12 +10,13 @@ for them, but images show them.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from calib.core.arrays import FloatArray
 from calib.geometry.camera import Camera
+from calib.geometry.mirror import SIGN, mirror_camera, signed
 from calib.geometry.parameters import (
     INDEX,
     MODELS,
@@ -109,9 +110,14 @@ class Rig:
     noise: Noise
 
     @property
+    def is_left(self) -> bool:
+        """Whether C2 stands at -X of C1."""
+        return bool(self.theta[INDEX["baseline_mm"]] < 0)
+
+    @property
     def depth_range_mm(self) -> tuple[float, float]:
         """Depths at which such a rig works, mm: so many baselines."""
-        baseline = float(self.theta[INDEX["baseline_mm"]])
+        baseline = abs(float(self.theta[INDEX["baseline_mm"]]))
         return NEAR_BASELINES * baseline, FAR_BASELINES * baseline
 
     @property
@@ -231,6 +237,18 @@ def draw_rig(
         pitch_rad=float(rng.normal(0, np.deg2rad(0.5))),
         yaw_range_rad=YAW_RANGE_RAD,
         noise=noise or drawn,
+    )
+
+
+def mirror_rig(rig: Rig) -> Rig:
+    """Return the rig as a mirror shows it: C2 on the other side of C1, depths as they were."""
+    low, high = rig.yaw_range_rad
+    return replace(
+        rig,
+        theta=signed(rig.theta, SIGN),
+        c1=mirror_camera(rig.c1),
+        c2=mirror_camera(rig.c2),
+        yaw_range_rad=(float(np.pi - high), float(np.pi - low)),
     )
 
 

@@ -11,7 +11,6 @@ from fit_rows import NO_PRIORS, simulated, table_1
 from scipy.integrate import quad
 from scipy.stats import norm
 
-from calib.checks.encoder_direction import check_encoder_direction
 from calib.core.errors import EstimationError
 from calib.fit.noise import CLEAN, ROBUST, Tails, log_density, row_noise
 from calib.fit.priors import Measured, Priors
@@ -169,14 +168,3 @@ def test_models_that_rows_cannot_carry() -> None:
     flat = replace(rows, y1c=np.zeros(20), has_height=False)
     with pytest.raises(EstimationError, match="y1c"):
         fit_model(flat, NO_PRIORS, model="axis-tilt")
-
-
-def test_sense_of_rotation() -> None:
-    """Negative controls: reversed encoder and mirrored coordinate are named."""
-    rows, _ = simulated(np.random.default_rng(10), count=14, axis_z_mm=-10.0)
-    assert check_encoder_direction(rows).passed
-    reversed_ = check_encoder_direction(replace(rows, alpha2_rad=np.pi - rows.alpha2_rad))
-    assert not reversed_.passed
-    assert "encoder counts the wrong way" in reversed_.detail
-    mirrored = check_encoder_direction(replace(rows, x1c=-rows.x1c))
-    assert not mirrored.passed

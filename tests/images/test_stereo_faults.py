@@ -30,6 +30,23 @@ def test_swapped_cameras_are_named(exact: scenes.Pairs) -> None:
         stereo_reference((exact.c2, exact.c1), scenes.BOARD, swapped, stems=exact.c1.images, seed=0)
 
 
+@pytest.mark.parametrize(("stands", "stated"), [("right", "left"), ("left", "right")])
+def test_a_rig_on_the_other_side_is_told_and_how_to_state_it(stands: str, stated: str) -> None:
+    pose = scenes.matrix(scenes.POSE_12)
+    if stands == "left":
+        flip = np.diag([-1.0, 1, 1, 1])
+        pose = flip @ pose @ flip
+    none = Corners((), np.empty((0, 54, 2)), (), (1280, 960))
+    rig = replace(KNOWN, is_left=stated == "left")
+    with pytest.raises(EstimationError, match=f"on its {stands}") as caught:
+        given_reference((none, none), scenes.BOARD, rig, stems=(), transform_12=pose)
+    assert f'write c2 = "{stands}" in [rig]' in str(caught.value)
+    assert "C1 and C2 are swapped" in str(caught.value)
+    rig = replace(KNOWN, is_left=stands == "left")
+    found = given_reference((none, none), scenes.BOARD, rig, stems=(), transform_12=pose)
+    assert (found.transform_12[0, 3] < 0) == (stands == "left")
+
+
 @pytest.mark.parametrize("roll_deg", [90, 180, -90])
 def test_a_camera_mounted_on_its_side_or_upside_down_is_named(roll_deg: int) -> None:
     mounted = scenes.matrix(scenes.POSE_12)

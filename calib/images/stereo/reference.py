@@ -46,7 +46,8 @@ ROLL_LIMIT_RAD = float(np.deg2rad(45.0))
 
 NO_POSE_RMS_PX = 5.0
 """Pairs that belong together fit to a fraction of a pixel, with poor intrinsics to some; whatever a
-pose says that misses them by more, that C2 stands on the left or upside down, it says by chance."""
+pose says that misses them by more, that C2 stands on the other side or upside down, it says by
+chance."""
 
 INCONSISTENT_SHARE = 0.5
 """Of a pair's corners rejected: above it not a corner is wrong but the pair. Two pictures that were
@@ -134,7 +135,7 @@ def stereo_reference(
         solves, backend_gates = _solve(start, board, rig, seed)
     record = solves[0]
     _check_together(record)
-    _check_mounting(record.pose_12)
+    _check_mounting(record.pose_12, is_left=rig.is_left)
     used = tuple(stems[i] for i in start.pairs)
     targets = find_targets(
         start.pixels,
@@ -188,7 +189,7 @@ def given_reference(
         If C1 and C2 are swapped, C2 is upside down, or the rays of a pair do not meet.
     """
     pose_12 = pose_vector(transform_12)
-    _check_mounting(pose_12)
+    _check_mounting(pose_12, is_left=rig.is_left)
     edge = sum(len(c) for c in rig.covariances)
     shared = np.zeros((edge + 6, edge + 6))
     for first, covariance in zip((0, len(rig.covariances[0])), rig.covariances, strict=True):
@@ -302,15 +303,15 @@ def _check_together(record: StereoSolve) -> None:
         )
 
 
-def _check_mounting(pose_12: FloatArray) -> None:
-    """Raise EstimationError unless C2 stands at +X of C1, upright."""
+def _check_mounting(pose_12: FloatArray, *, is_left: bool) -> None:
+    """Raise EstimationError unless C2 stands on its side of C1, at +X or at -X, upright."""
     x = float(pose_12[3])
-    if x <= 0:
+    if not (x < 0 if is_left else x > 0):
+        other = "right" if is_left else "left"
         raise EstimationError(
-            f"stereo: C2 stands at X = {x:.1f} mm of C1, on its left; C1 and C2 are swapped (C2 is "
-            "the turning camera, at +X): exchange [stereo] c1 and c2, and [cameras] with them. "
-            "Where the turning camera does stand on the left: turn all pictures of both cameras by "
-            "180 deg, and replace alpha2_deg by 180 - alpha2_deg everywhere"
+            f"stereo: C2 stands at X = {x:.1f} mm of C1, on its {other}: if the turning camera "
+            f'does stand there, write c2 = "{other}" in [rig]; if not, C1 and C2 are swapped (C2 '
+            "is the turning camera): exchange [stereo] c1 and c2, and [cameras] with them"
         )
     along = rotation(pose_12[:3])
     roll = float(np.arctan2(along[1, 0], along[1, 1]))

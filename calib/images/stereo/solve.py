@@ -62,10 +62,13 @@ class CameraPair:
     covariances
         Of fx, fy, cx, cy and the distortion of each, px and 1, shapes (p1, p1) and (p2, p2); zeros
         where nothing is stated.
+    is_left
+        Whether C2 stands at -X of C1.
     """
 
     cameras: tuple[Camera, Camera]
     covariances: tuple[FloatArray, FloatArray]
+    is_left: bool = False
 
 
 @dataclass(frozen=True)

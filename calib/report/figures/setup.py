@@ -28,11 +28,12 @@ from calib.report.plotting import (
 from calib.rows.observations import Observations
 
 SKETCH_AXIS = (1.45, 0.55)
-"""X, and |Z|, of the yaw axis in the sketch."""
+"""|X| and |Z| of the yaw axis in the sketch."""
 
 SKETCH_ECCENTRICITY = 0.3
 
 SKETCH_TARGET = (0.5, 2.45)
+"""|X| and Z."""
 
 RAYS = 40
 """Rays drawn at most; more hide each other."""
@@ -56,9 +57,10 @@ def draw_setup(rows: Observations, theta: FloatArray, free: tuple[str, ...]) -> 
     return Drawing(
         figure,
         "Two views from above, X to the right and Z away from the cameras. Left, a sketch with the "
-        "symbols: C1 in the origin, the yaw axis of C2 to the right of it, C2's gaze plane through "
-        f"the target. Right, to scale: {len(rows)} targets between X = {x.min():.0f} and "
-        f"{x.max():.0f} mm and Z = {low:.0f} and {high:.0f} mm.",
+        "symbols: C1 in the origin, the yaw axis of C2 to the "
+        f"{'left' if _side(theta) < 0 else 'right'} of it, C2's gaze plane through the target. "
+        f"Right, to scale: {len(rows)} targets between X = {x.min():.0f} and {x.max():.0f} mm and "
+        f"Z = {low:.0f} and {high:.0f} mm.",
         {"id": rows.ids, "group": rows.groups, "x_mm": x, "z_reference_mm": rows.z_mm},
     )
 
@@ -67,36 +69,52 @@ def _sketch(axes: Axes, theta: FloatArray, free: tuple[str, ...]) -> None:
     """Draw the symbols, not to scale; signs of Z_a and e as found."""
     z_axis = _sign(theta, "axis_z_mm", free) * SKETCH_AXIS[1]
     offset = _sign(theta, "eccentricity_mm", free) * SKETCH_ECCENTRICITY
-    axis, target = np.array([SKETCH_AXIS[0], z_axis]), np.array(SKETCH_TARGET)
+    side = _side(theta)
+    axis = np.array([side * SKETCH_AXIS[0], z_axis])
+    target = np.array([side * SKETCH_TARGET[0], SKETCH_TARGET[1]])
     angle = _gaze_angle(target - axis, offset)
     along = np.array([-np.cos(angle), np.sin(angle)])
     foot = axis + offset * np.array([np.sin(angle), np.cos(angle)])
     end = target + 0.5 * along
     axes.set_title("Symbols (not to scale)")
     axes.annotate("", (0, 3.1), (0, -0.3), arrowprops=_AXIS_ARROW)
-    axes.annotate("", (2.3, 0), (-0.3, 0), arrowprops=_AXIS_ARROW)
-    axes.annotate("X", (2.3, -0.2), color=GREY, ha="right", fontsize=8)
+    head, tail = (2.3, -0.3) if side > 0 else (0.75, -2.3)
+    axes.annotate("", (head, 0), (tail, 0), arrowprops=_AXIS_ARROW)
+    axes.annotate("X", (head, -0.2), color=GREY, ha="right", fontsize=8)
     axes.annotate("Z", (-0.07, 3.0), color=GREY, ha="right", fontsize=8)
     axes.plot(*np.stack([np.zeros(2), target]).T, color=VERMILLION)
     axes.plot(*np.stack([foot - 0.5 * along, end]).T, color=BLUE)
-    _camera(axes, (0.0, 0.0), 0.0, "C1", (-0.32, -0.2))
-    beside = (0.42, 0.02) if offset > 0 else (-0.3, -0.28)
+    _camera(axes, (0.0, 0.0), 0.0, "C1", (-0.32 * side, -0.2))
+    outside = side * offset > 0
+    beside = (0.42 * side, 0.02) if outside else (-0.3 * side, -0.28)
     _camera(axes, _xy(foot), np.pi / 2 - angle, "C2", beside)
     axes.plot(*axis, "o", color=BLACK, ms=6, zorder=4)
-    places = {1.0: (-8, -11), -1.0: (8, -11), 0.0: (10, 5)}
-    left = "right" if offset > 0 else "left"
-    axes.annotate("yaw axis", _xy(axis), places[np.sign(offset)], ha=left, **_BESIDE)
+    away, towards = ("left", "right") if side > 0 else ("right", "left")
+    x, y = {1.0: (-8, -11), -1.0: (8, -11), 0.0: (10, 5)}[np.sign(side * offset)]
+    ends = towards if outside else away
+    axes.annotate("yaw axis", _xy(axis), (side * x, y), ha=ends, **_BESIDE)
     axes.plot(*target, "*", color=BLACK, ms=11)
-    axes.annotate("target", _xy(target), (10, -2), **_BESIDE)
-    axes.annotate("gaze plane", _xy(end), (8, -3), color=BLUE, **_BESIDE)
+    axes.annotate("target", _xy(target), (side * 10, -2), ha=away, **_BESIDE)
+    axes.annotate("gaze plane", _xy(end), (side * 8, -3), ha=away, color=BLUE, **_BESIDE)
     _angles(axes, foot, target, angle)
     _measures(axes, axis=axis, foot=foot, target=target, free=free)
-    axes.set(xlim=(-0.85, 2.9), ylim=(-1.4, 3.15), aspect="equal", xticks=[], yticks=[])
+    axes.set(
+        xlim=(-0.85, 2.9) if side > 0 else (-2.9, 0.85),
+        ylim=(-1.4, 3.15),
+        aspect="equal",
+        xticks=[],
+        yticks=[],
+    )
     found = [f"{plain_symbol(name)} = {_mm(theta, name)}" for name in _DRAWN if name in free]
     axes.set_xlabel(", ".join(found) + "\n$α = α_2 + δ_2$, $α_2$ read by the encoder")
     axes.grid(visible=False)
-    for side in ("left", "bottom"):
-        axes.spines[side].set_visible(False)
+    for edge in ("left", "bottom"):
+        axes.spines[edge].set_visible(False)
+
+
+def _side(theta: FloatArray) -> float:
+    """Return 1 where C2 stands at +X of C1, -1 where it stands at -X."""
+    return -1.0 if theta[INDEX["baseline_mm"]] < 0 else 1.0
 
 
 def _gaze_angle(arm: FloatArray, offset: float) -> float:
@@ -140,8 +158,10 @@ def _angles(axes: Axes, foot: FloatArray, target: FloatArray, angle: float) -> N
     axes.add_patch(Arc(_xy(foot), 1.2, 1.2, theta1=gaze, theta2=180, color=BLUE))
     axes.annotate("$α$", (foot[0] - 0.34, foot[1] + 0.2), color=BLUE)
     ray = float(np.rad2deg(np.arctan2(target[1], target[0])))
-    axes.add_patch(Arc((0, 0), 3.0, 3.0, theta1=ray, theta2=90, color=VERMILLION))
-    axes.annotate("$α_1$", (0.08, 1.58), color=VERMILLION, fontsize=8)
+    low, high = sorted((ray, 90.0))
+    axes.add_patch(Arc((0, 0), 3.0, 3.0, theta1=low, theta2=high, color=VERMILLION))
+    x, where = (0.08, "left") if ray < 90 else (-0.08, "right")
+    axes.annotate("$α_1$", (x, 1.58), color=VERMILLION, fontsize=8, ha=where)
 
 
 def _measures(
@@ -153,20 +173,21 @@ def _measures(
     free: tuple[str, ...],
 ) -> None:
     """Draw the lengths L_b, Z_a, e and z."""
-    level = -1.2
+    level, out = -1.2, float(np.sign(axis[0]))
     for x, top in ((0.0, 0.0), (axis[0], axis[1])):
         axes.plot([x, x], [top, level], **_HELPER)
     _length(axes, (0, level), (axis[0], level), "$L_b$", (0, 7))
     if "axis_z_mm" in free:
-        side = 2.45
+        side = 2.45 * out
         axes.plot([axis[0], side], [axis[1]] * 2, **_HELPER)
-        _length(axes, (side, 0), (side, axis[1]), "$Z_a$", (4, 0))
+        _length(axes, (side, 0), (side, axis[1]), "$Z_a$", (4 * out, 0))
     if "eccentricity_mm" in free:
         axes.plot(*np.stack([axis, foot]).T, color=GREEN, lw=2.4, zorder=3)
-        middle, shift = (axis + foot) / 2, (-0.02, -0.24) if foot[0] > axis[0] else (0.0, 0.1)
+        outside = out * (foot[0] - axis[0]) > 0
+        middle, shift = (axis + foot) / 2, (-0.02, -0.24) if outside else (0.0, 0.1)
         axes.annotate("$e$", _xy(middle + np.array(shift)), color=GREEN)
-    _length(axes, (-0.5, 0), (-0.5, target[1]), "$z$", (-5, 0))
-    axes.plot([-0.5, target[0]], [target[1]] * 2, **_HELPER)
+    _length(axes, (-0.5 * out, 0), (-0.5 * out, target[1]), "$z$", (-5 * out, 0))
+    axes.plot([-0.5 * out, target[0]], [target[1]] * 2, **_HELPER)
 
 
 _HELPER: Any = {"color": GREY, "lw": 0.6, "ls": "--"}
@@ -214,8 +235,12 @@ def _plan(axes: Axes, rows: Observations, theta: FloatArray) -> None:
     axes.plot(*places.T, "*", color=BLACK, ms=4 if many else 8, rasterized=many)
     axes.plot(0, 0, "^", color=VERMILLION, ms=8)
     axes.plot(*axis, "o", color=BLUE, ms=6)
-    axes.annotate("C1", (0, 0), (-7, -3), textcoords="offset points", ha="right")
-    axes.annotate("yaw axis", _xy(axis), (7, -3), textcoords="offset points", fontsize=8)
+    side = _side(theta)
+    away, towards = ("left", "right") if side > 0 else ("right", "left")
+    axes.annotate("C1", (0, 0), (-7 * side, -3), textcoords="offset points", ha=towards)
+    axes.annotate(
+        "yaw axis", _xy(axis), (7 * side, -3), textcoords="offset points", fontsize=8, ha=away
+    )
     axes.set_title("Targets of the gaze rows (to scale)")
     axes.set(xlabel="X / mm", ylabel="Z / mm", aspect="equal", adjustable="datalim")
     axes.margins(0.12, 0.06)

@@ -107,7 +107,7 @@ def gaze_gates(gaze: GazeResult) -> tuple[Gate, ...]:
     """Return the gates of the gaze calibration."""
     gates = [gaze.encoder_direction, _fitted(gaze)]
     if gaze.posterior:
-        gates += [_convergence(gaze.posterior), _agreement(gaze.posterior)]
+        gates += [convergence(gaze.posterior), _agreement(gaze.posterior)]
     if gaze.comparison is not None:
         selected = gaze.comparison.selected
         gates += [_residuals(gaze, selected), _outliers(gaze, selected)]
@@ -125,7 +125,8 @@ def _fitted(gaze: GazeResult) -> Gate:
     return Gate("fit", passed=False, detail=f"no model could be fitted: {reasons}")
 
 
-def _convergence(posteriors: Mapping[str, Posterior]) -> Gate:
+def convergence(posteriors: Mapping[str, Posterior]) -> Gate:
+    """Return whether the chains of all models have reached their posteriors."""
     details = []
     for name, p in posteriors.items():
         detail = (
@@ -135,8 +136,8 @@ def _convergence(posteriors: Mapping[str, Posterior]) -> Gate:
         )
         if p.left_out is not None:
             detail += (
-                f"; a second solution with {100 * p.left_out.share:.2g} % of the probability, "
-                f"{_solution(p)}, is left out: look for rows that contradict each other, state "
+                f"; another solution, {_solution(p)}, has {100 * p.left_out.share:.3g} % of the "
+                "probability and is left out: look for rows that contradict each other, state "
                 "tighter priors"
             )
         elif not p.converged:

@@ -64,6 +64,9 @@ drawn towards 0.5, which is on the side of the walk."""
 MAXIMUM_STEPS = 60_000
 """Steps after which the chain is given up: three times what the worst rig tried has needed."""
 
+UNTRUSTED_STEPS = 2000
+"""The same where the sample is known to have left out a mode: no number of steps mends that."""
+
 TAU_MULTIPLE = 50.0
 """Autocorrelation times a chain must hold before its own estimate of them can be trusted: what
 emcee's authors ask for. Here the autocorrelation is averaged over 128 walkers or more."""
@@ -153,7 +156,8 @@ def run_chains(
     seed
         Source of all random numbers.
     trusted
-        Whether independent proposals may be tried; if not, ensembles walk alone.
+        False if the sample is known to have left out a mode: ensembles then walk alone, and not
+        for long.
 
     Raises
     ------
@@ -172,6 +176,7 @@ def run_chains(
     sampler = sampler_of(target, ENSEMBLES * walkers, moves)
     state = emcee.State(starts, random_state=RandomState(MT19937(for_chains)).get_state())
     expected, done, look = float(BLOCK_STEPS), 0, BLOCK_STEPS
+    most = MAXIMUM_STEPS if trusted else UNTRUSTED_STEPS
     while True:
         while done < look:
             state = sampler.run_mcmc(state, BLOCK_STEPS)
@@ -189,12 +194,12 @@ def run_chains(
         expected /= 1 - BURN_IN_SHARE
         chain = flat.reshape(len(flat), ENSEMBLES, walkers, -1).swapaxes(0, 1)
         enough = done >= expected and float(walker_r_hat(flat).max()) < WALKER_R_HAT_LIMIT
-        if enough or done >= MAXIMUM_STEPS:
+        if enough or done >= most:
             found = _diagnosed(chain, tau, float(sampler.acceptance_fraction.mean()), independent)
-            if found.converged or done >= MAXIMUM_STEPS:
+            if found.converged or done >= most:
                 return found
         # A short chain takes its autocorrelation times for shorter than they are.
-        look = min(max(int(expected), int(1.2 * done)), 2 * done, MAXIMUM_STEPS)
+        look = min(max(int(expected), int(1.2 * done)), 2 * done, most)
 
 
 def _diagnosed(chain: FloatArray, tau: FloatArray, acceptance: float, independent: bool) -> Chains:

@@ -30,7 +30,7 @@ SEARCH_ROWS = 500
 """Rows by which other modes are looked for; all rows judge what is found."""
 
 QUARTER_TURN_RAD = np.pi / 2
-"""Angles are looked for within a quarter turn about 0: half a turn on, the same plane comes back."""
+"""Angles are looked for within a quarter turn about 0: half a turn on, the plane is the same."""
 
 SPREAD_FLOOR = 0.1
 """Relative difference allowed of the two computations' central 68 % intervals."""

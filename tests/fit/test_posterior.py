@@ -221,8 +221,8 @@ def plain_emcee(target: LogPosterior, centre: np.ndarray, covariance: np.ndarray
     sampler = emcee.EnsembleSampler(64, target.dimensions, target, vectorize=True)
     rng = np.random.default_rng(7)
     sampler.random_state = np.random.RandomState(8).get_state()
-    sampler.run_mcmc(rng.multivariate_normal(centre, covariance, 64), 15_000)
-    draws: np.ndarray = sampler.get_chain(discard=5000)
+    sampler.run_mcmc(rng.multivariate_normal(centre, covariance, 64), 12_000)
+    draws: np.ndarray = sampler.get_chain(discard=4000)
     return draws
 
 
@@ -245,9 +245,8 @@ def assert_same_posterior(rows: Observations, model: str) -> None:
         np.testing.assert_array_less(np.abs(share - level), 4.5 * error)
 
 
-@pytest.mark.parametrize("model", ["base", "axis-offset"])
-def test_plain_emcee_finds_the_same_on_table_1(model: str) -> None:
-    assert_same_posterior(table_1(), model)
+def test_plain_emcee_finds_the_same_on_table_1() -> None:
+    assert_same_posterior(table_1(), "axis-offset")
 
 
 @pytest.mark.slow

@@ -27,7 +27,7 @@ import numpy as np
 from bench_calls import KINDS, measure_run
 from numpy.random import SeedSequence
 
-from calib.fit import posterior as chains
+from calib.fit.chains import ENSEMBLES
 from calib.fit.density import LogPosterior
 from calib.fit.importance import sample_importance
 from calib.fit.posterior import laplace, posterior_of, sample_posterior
@@ -217,7 +217,7 @@ def main(names: list[str]) -> int:
         print(f"bench: no part {', '.join(sorted(unknown))}; there are {', '.join(PARTS)}")
         return 2
     warnings.simplefilter("ignore")
-    print(json.dumps({"cpus": os.cpu_count(), "ensembles": chains.ENSEMBLES}))
+    print(json.dumps({"cpus": os.cpu_count(), "ensembles": ENSEMBLES}))
     for name in names or PARTS:
         for line in PARTS[name]():
             wanted = f"(to reach: {line.wanted})" if line.wanted else ""

@@ -8,9 +8,10 @@ import numpy as np
 
 from calib.core.arrays import FloatArray
 from calib.core.gate import Gate
+from calib.fit.chains import ESS_GOAL, R_HAT_LIMIT
 from calib.fit.group_check import GroupCheck
 from calib.fit.identifiability import Identifiability
-from calib.fit.posterior import ESS_GOAL, R_HAT_LIMIT, Posterior
+from calib.fit.posterior import Posterior
 from calib.fit.priors import NOISE_SCALE
 from calib.geometry.parameters import INDEX, PARAMETERS
 from calib.images.result import ImageResult
@@ -106,7 +107,7 @@ def gaze_gates(gaze: GazeResult) -> tuple[Gate, ...]:
     """Return the gates of the gaze calibration."""
     gates = [gaze.encoder_direction, _fitted(gaze)]
     if gaze.posterior:
-        gates += [_convergence(gaze.posterior), _agreement(gaze.posterior)]
+        gates += [convergence(gaze.posterior), _agreement(gaze.posterior)]
     if gaze.comparison is not None:
         selected = gaze.comparison.selected
         gates += [_residuals(gaze, selected), _outliers(gaze, selected)]
@@ -124,7 +125,8 @@ def _fitted(gaze: GazeResult) -> Gate:
     return Gate("fit", passed=False, detail=f"no model could be fitted: {reasons}")
 
 
-def _convergence(posteriors: Mapping[str, Posterior]) -> Gate:
+def convergence(posteriors: Mapping[str, Posterior]) -> Gate:
+    """Return whether the chains of all models have reached their posteriors."""
     details = []
     for name, p in posteriors.items():
         detail = (
@@ -132,11 +134,25 @@ def _convergence(posteriors: Mapping[str, Posterior]) -> Gate:
             f"{min(p.ess_bulk.min(), p.ess_tail.min()):.0f} effective draws (wanted "
             f"{ESS_GOAL:.0f}), R-hat at most {p.r_hat.max():.4f} (limit {R_HAT_LIMIT})"
         )
-        if not p.converged:
+        if p.left_out is not None:
+            detail += (
+                f"; another solution, {_solution(p)}, has {100 * p.left_out.share:.3g} % of the "
+                "probability and is left out: look for rows that contradict each other, state "
+                "tighter priors"
+            )
+        elif not p.converged:
             detail += ", not converged: add rows, state tighter priors, look for outliers"
         details.append(detail)
     passed = all(p.converged for p in posteriors.values())
     return Gate("convergence", passed=passed, detail="; ".join(details))
+
+
+def _solution(p: Posterior) -> str:
+    """Return parameters of the mode left out, as text."""
+    if p.left_out is None:
+        return ""
+    values = zip(p.names[:-1], p.left_out.place[:-1], strict=True)
+    return ", ".join(f"{name} {value:.6g}" for name, value in values)
 
 
 def _agreement(posteriors: Mapping[str, Posterior]) -> Gate:

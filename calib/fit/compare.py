@@ -18,10 +18,11 @@ from numpy.random import SeedSequence
 
 from calib.core.arrays import FloatArray, IntArray
 from calib.core.errors import EstimationError
+from calib.fit.chains import Progress
 from calib.fit.groups import units
 from calib.fit.importance import ImportanceSample
 from calib.fit.leave_one_out import LeftOut, leave_one_out, of_chain, of_sample
-from calib.fit.posterior import Posterior, Progress, posterior_of
+from calib.fit.posterior import Posterior, posterior_of
 from calib.fit.priors import Priors
 from calib.fit.robust import RobustFit, fit_robust
 from calib.fit.weights import averaging_weights, stacking_weights

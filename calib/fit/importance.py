@@ -202,14 +202,24 @@ def _adapted(draws: FloatArray, log_weights: FloatArray, last: Proposal) -> Prop
         return last
 
 
-def _smoothed(draws: FloatArray, log_weights: FloatArray) -> ImportanceSample:
+def pareto_shape(log_weights: FloatArray) -> float:
+    """Return k-hat of the largest weights, from log weights, shape (m,)."""
+    return _pareto_smoothed(log_weights)[1]
+
+
+def _pareto_smoothed(log_weights: FloatArray) -> tuple[FloatArray, float]:
     # It takes log densities of left-out data, whose negatives are the log weights.
     smoothed, k_hat = array_stats.psislw(-log_weights)
+    return smoothed, float(k_hat)
+
+
+def _smoothed(draws: FloatArray, log_weights: FloatArray) -> ImportanceSample:
+    smoothed, k_hat = _pareto_smoothed(log_weights)
     weights = np.exp(smoothed - logsumexp(smoothed))
     return ImportanceSample(
         draws=draws,
         weights=weights,
-        k_hat=float(k_hat),
+        k_hat=k_hat,
         ess=float(1 / (weights @ weights)),
         log_evidence=float(logsumexp(log_weights) - np.log(len(draws))),
     )

@@ -1,74 +1,21 @@
-"""The posterior of a model by emcee, with importance sampling as the second computation.
-
-Several independent ensembles of walkers start from different draws of the importance sample, which
-is from the posterior already: there is no burn-in to discard. Each walks by differential evolution
-(ter Braak 2006, doi 10.1007/s11222-006-8769-1), one step in ten with the factor 1 that carries a
-walker from mode to mode. Of long tables, whose posterior is nearly normal, most steps propose a
-fresh point from a t density with the importance sample's mean and covariance, accepted or not by
-Metropolis and Hastings: a chain so forgets its past in two to four steps and not in ten to thirty,
-each of which looks at all rows. The remaining steps, which know nothing of that sample, would show
-by their drift if it were not from the posterior. emcee's snooker move is left out: in emcee 3.1.6
-its acceptance does not keep detailed balance, and a share of one fifth in the mix makes the
-variance of a unit normal in five dimensions 6 % too small (docs/decisions.md).
-"""
+"""The posterior of a model by emcee, with importance sampling as the second computation."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, TypeAlias
 
-import emcee
 import numpy as np
-from arviz_stats.base import array_stats
-from numpy.random import MT19937, RandomState, SeedSequence
-from scipy.special import ndtri
-from scipy.stats import rankdata
+from numpy.random import SeedSequence
 
 from calib.core.arrays import FloatArray
-from calib.core.errors import EstimationError
+from calib.fit.chains import Chains, Progress, run_chains
 from calib.fit.density import LogPosterior, log_posterior
-from calib.fit.importance import ImportanceSample, Proposal, sample_importance
+from calib.fit.importance import ImportanceSample, sample_importance
+from calib.fit.modes import LeftOutMode, find_left_out_mode
 from calib.fit.priors import NOISE_SCALE, Priors
 from calib.fit.robust import RobustFit
 from calib.rows.observations import Observations
-
-ENSEMBLES = 4
-"""Independent ensembles: R-hat compares them; the walkers of one are not independent."""
-
-WALKERS = 32
-"""Walkers an ensemble, or four a dimension where that is more."""
-
-BLOCK_STEPS = 1000
-"""Steps from which on convergence is looked at, and by which a chain is prolonged."""
-
-LONG_TABLE = 5000
-"""Rows from which on most steps are independent proposals: it is hardly ever refused there."""
-
-INDEPENDENT_SHARE = 0.8
-"""Share of such steps."""
-
-LONG_TABLE_BLOCK_STEPS = 100
-"""The same for a long table: 400 or so are enough."""
-
-MAXIMUM_STEPS = 60_000
-"""Steps after which the chain is given up: three times what the worst rig tried has needed."""
-
-TAU_MULTIPLE = 100.0
-"""Autocorrelation times a chain must hold before its own estimate of them can be trusted.
-
-emcee's authors ask for 50; R-hat below 1.01 takes about 100.
-"""
-
-ESS_GOAL = 4000.0
-"""Effective draws a parameter: 1.6 % on a mean in units of sigma, 4 % on a 95 % limit."""
-
-R_HAT_LIMIT = 1.01
-"""Vehtari et al. 2021, doi 10.1214/20-BA1221."""
-
-STEPS_A_TAU = 5
-"""Steps an autocorrelation time from which effective draws are told. Where correlations fall off
-exponentially, 1.3 % fewer are found than by all steps; in the tails, which forget sooner, 5 %."""
 
 STORED_DRAWS = 16_000
 """Draws kept after thinning, over all ensembles."""
@@ -79,13 +26,16 @@ AGREEMENT_SIGMA = 4.0
 AGREEMENT_FLOOR = 0.03
 """Difference, in posterior standard deviations, that no user could notice."""
 
+SEARCH_ROWS = 500
+"""Rows by which other modes are looked for; all rows judge what is found."""
+
+QUARTER_TURN_RAD = np.pi / 2
+"""Angles are looked for within a quarter turn about 0: half a turn on, the plane is the same."""
+
 SPREAD_FLOOR = 0.1
 """Relative difference allowed of the two computations' central 68 % intervals."""
 
 CENTRAL = (0.158655, 0.841345)
-
-Progress = Callable[[int, int], None]
-"""Told how far a computation is: steps done, steps expected."""
 
 
 @dataclass(frozen=True)
@@ -111,9 +61,11 @@ class Posterior:
     acceptance
         Share of proposals accepted.
     steps
-        Steps of each ensemble.
+        Steps of each ensemble, without burn-in.
     converged
-        Whether all limits hold.
+        Whether all limits hold, and no mode was left out.
+    left_out
+        A mode of the density that both computations have left out, None if none was found.
     k_hat, importance_ess, importance_mean, importance_std
         The second computation.
     agreement
@@ -138,6 +90,7 @@ class Posterior:
     acceptance: float
     steps: int
     converged: bool
+    left_out: LeftOutMode | None
     k_hat: float
     importance_ess: float
     importance_mean: FloatArray
@@ -200,145 +153,50 @@ def sample_posterior(
         If the density is not finite near the fit, or the importance sample too poor to start from.
     """
     target = posterior_of(fit, rows, priors)
-    for_importance, for_shared, for_start, *for_chains = seed.spawn(3 + ENSEMBLES)
+    for_importance, for_shared, for_chains, for_search = seed.spawn(4)
     centre, covariance = laplace(fit, target)
     sample = sample_importance(target, centre, covariance, np.random.default_rng(for_importance))
-    chains = _run(target, sample, for_start, for_chains, progress)
-    return _summarise(chains, sample, fit, np.random.default_rng(for_shared))
-
-
-@dataclass(frozen=True)
-class _Chains:
-    """Full chains, shape (ensembles, steps, walkers, d), with what was found of them."""
-
-    chain: FloatArray
-    tau: FloatArray
-    acceptance: float
-    converged: bool
-
-
-def _run(
-    target: LogPosterior,
-    sample: ImportanceSample,
-    for_start: SeedSequence,
-    seeds: list[SeedSequence],
-    progress: Progress | None,
-) -> _Chains:
-    """Walk all ensembles, block by block, until they have converged or are given up."""
-    walkers = max(WALKERS, 4 * target.dimensions)
-    if np.count_nonzero(sample.weights) < ENSEMBLES * walkers:
-        raise EstimationError("too few importance draws carry weight to start the walkers from")
-    starts = sample.resample(ENSEMBLES * walkers, np.random.default_rng(for_start))
-    moves, block = _walk(), BLOCK_STEPS
-    if len(target.rows) >= LONG_TABLE:
-        moves, block = _with_independent(moves, sample.proposal), LONG_TABLE_BLOCK_STEPS
-    samplers, states = [], []
-    for i, seed in enumerate(seeds):
-        samplers.append(_sampler(target, walkers, moves))
-        random_state = RandomState(MT19937(seed)).get_state()
-        states.append(emcee.State(starts[i::ENSEMBLES], random_state=random_state))
-    expected, done, look = float(block), 0, block
-    while True:
-        for i, sampler in enumerate(samplers):
-            states[i] = sampler.run_mcmc(states[i], block)
-            if progress is not None:
-                progress(int(done + block * (i + 1) / ENSEMBLES), int(expected))
-        done += block
-        if done < look:
-            continue
-        chain = np.stack([s.get_chain() for s in samplers])
-        with np.errstate(over="ignore", invalid="ignore"):
-            tau = np.mean([_tau(c) for c in chain], axis=0)
-        if not np.isfinite(tau).all():
-            raise EstimationError(
-                "the walkers run away without bound: rows and priors leave the parameters open"
-            )
-        expected = max(TAU_MULTIPLE, ESS_GOAL / (ENSEMBLES * walkers)) * float(tau.max())
-        converged = done >= expected and float(_r_hat(chain).max()) < R_HAT_LIMIT
-        if converged or done >= MAXIMUM_STEPS:
-            break
-        # A short chain takes its autocorrelation times for shorter than they are.
-        look = min(int(expected), 2 * done, MAXIMUM_STEPS)
-    acceptance = float(np.mean([s.acceptance_fraction.mean() for s in samplers]))
-    return _Chains(chain, tau, acceptance, converged)
-
-
-Moves: TypeAlias = list[tuple[Any, float]]
-"""emcee's moves, each with its share."""
-
-
-def _walk() -> Moves:
-    return [(emcee.moves.DEMove(), 0.9), (emcee.moves.DEMove(gamma0=1.0), 0.1)]
-
-
-def _with_independent(walk: Moves, proposal: Proposal) -> Moves:
-    """Return a mix of independent proposals and a walk."""
-
-    def propose(x: FloatArray, random: RandomState) -> tuple[FloatArray, FloatArray]:
-        fresh = proposal.draw(len(x), random)
-        return fresh, proposal.log_density(x) - proposal.log_density(fresh)
-
-    rest = [(move, (1 - INDEPENDENT_SHARE) * share) for move, share in walk]
-    return [(emcee.moves.MHMove(propose), INDEPENDENT_SHARE), *rest]
-
-
-def _sampler(target: LogPosterior, walkers: int, moves: Moves) -> emcee.EnsembleSampler:
-    sampler = emcee.EnsembleSampler(
-        walkers,
-        target.dimensions,
-        target,
-        vectorize=True,
-        moves=moves,
+    left_out = look_for_left_out(target, sample, np.random.default_rng(for_search))
+    chains = run_chains(
+        target, sample, seed=for_chains, trusted=left_out is None, progress=progress
     )
-    # emcee wraps the function to print a traceback of whatever comes out of it, Ctrl-C too.
-    sampler.log_prob_fn = target
-    return sampler
+    return _summarise(chains, sample, left_out, fit, np.random.default_rng(for_shared))
 
 
-def _tau(chain: FloatArray) -> FloatArray:
-    """Return integrated autocorrelation times, steps, of a chain (steps, walkers, d)."""
-    if not np.ptp(chain, axis=0).all():
-        # A walker that stayed at one value, as indicators may, has none: join all end to end.
-        chain = chain.swapaxes(0, 1).reshape(-1, 1, chain.shape[2])
-    tau: FloatArray = emcee.autocorr.integrated_time(chain, tol=0)
-    return np.maximum(tau, 1.0)
+def look_for_left_out(
+    target: LogPosterior, sample: ImportanceSample, rng: np.random.Generator
+) -> LeftOutMode | None:
+    """Return a mode of the posterior that the sample has left out, None if none is found."""
+    angles = [i for i, name in enumerate(target.model.free) if name.endswith("_rad")]
+    heard = np.flatnonzero(target.power)
+    some = target
+    if len(heard) > SEARCH_ROWS:
+        some = target.only(heard[np.linspace(0, len(heard) - 1, SEARCH_ROWS).astype(np.int64)])
 
+    def within(density: LogPosterior) -> Callable[[FloatArray], FloatArray]:
+        def of(x: FloatArray) -> FloatArray:
+            outside = np.abs(x[:, angles]).max(axis=1) > QUARTER_TURN_RAD
+            return np.where(outside, -np.inf, density(x))
 
-def _r_hat(chain: FloatArray) -> FloatArray:
-    """Return the rank-normalised split R-hat across ensembles, shape (d,)."""
-    thin = max(1, chain.shape[1] * chain.shape[2] // 20_000)
-    flat = chain.reshape(chain.shape[0], -1, chain.shape[3])[:, :: thin * 2 + 1]
-    return np.array([array_stats.rhat(flat[..., k]) for k in range(flat.shape[2])])
+        return of
 
-
-def _effective(chain: FloatArray, tau: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return bulk and tail effective draws, shape (d,) each, of chains (ensembles, ...).
-
-    Bulk: of the rank-normalised values. Tail: the lesser of those of the indicators of the lowest
-    and the highest twentieth (Vehtari et al. 2021), each by emcee's autocorrelation time, of steps
-    so far apart that they still tell it.
-    """
-    chain = chain[:, :: max(1, int(tau.min() / STEPS_A_TAU))]
-    total = chain.shape[0] * chain.shape[1] * chain.shape[2]
-    flat = chain.reshape(-1, chain.shape[3])
-    ranks = np.stack([rankdata(column) for column in flat.T.copy()], axis=1).reshape(chain.shape)
-    fraction = (ranks - 0.375) / (total + 0.25)
-    bulk = total / np.mean([_tau(c) for c in ndtri(fraction)], axis=0)
-    tails = [
-        total / np.mean([_tau(c) for c in (indicator).astype(float)], axis=0)
-        for indicator in (fraction < 0.05, fraction > 0.95)
-    ]
-    return bulk, np.minimum(*tails)
+    widening = float(np.sqrt(max(len(heard) / SEARCH_ROWS, 1.0)))
+    found = find_left_out_mode(within(some), sample, rng, widening=widening)
+    if found is None or some is target:
+        return found
+    return find_left_out_mode(within(target), sample, rng, near=found.place)
 
 
 def _summarise(
-    chains: _Chains, sample: ImportanceSample, fit: RobustFit, rng: np.random.Generator
+    chains: Chains,
+    sample: ImportanceSample,
+    left_out: LeftOutMode | None,
+    fit: RobustFit,
+    rng: np.random.Generator,
 ) -> Posterior:
     """Return the posterior with its diagnostics; shared errors are added to thinned draws."""
-    bulk, tail = _effective(chains.chain, chains.tau)
-    r_hat = _r_hat(chains.chain)
     ensembles, steps, walkers, d = chains.chain.shape
-    agreement, agrees = _agreement(chains.chain.reshape(-1, d), bulk, sample)
+    agreement, agrees = _agreement(chains.chain.reshape(-1, d), chains.ess_bulk, sample)
     thin = max(1, -(-ensembles * steps * walkers // STORED_DRAWS))
     kept = chains.chain[:, thin - 1 :: thin].reshape(ensembles, -1, d)
     common = rng.standard_normal((*kept.shape[:2], fit.by_shared.shape[1]))
@@ -354,13 +212,14 @@ def _summarise(
         mean=kept.reshape(-1, d).mean(axis=0),
         covariance=covariance,
         quantiles=np.quantile(draws.reshape(-1, d), [0.025, 0.5, 0.975], axis=0).T,
-        ess_bulk=bulk,
-        ess_tail=tail,
-        r_hat=r_hat,
+        ess_bulk=chains.ess_bulk,
+        ess_tail=chains.ess_tail,
+        r_hat=chains.r_hat,
         tau=chains.tau,
         acceptance=chains.acceptance,
         steps=steps,
-        converged=chains.converged and bool(bulk.min() >= ESS_GOAL),
+        converged=chains.converged and left_out is None,
+        left_out=left_out,
         k_hat=sample.k_hat,
         importance_ess=sample.ess,
         importance_mean=sample.mean,

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.random import SeedSequence
 
 from calib.core.arrays import BoolArray, FloatArray, IntArray
-from calib.fit.posterior import Posterior, Progress
+from calib.fit.chains import Progress
+from calib.fit.posterior import Posterior
 from calib.fit.robust import RobustFit
 from calib.geometry.parameters import REFERENCE_OFFSET
 from calib.geometry.plane import OBSERVABLE, Gaze, depth, gaze_at

@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 from command import call, tree
 
-import calib.fit.posterior
+import calib.fit.chains
 import calib.stages.store
 
 TRUTH = {"baseline_mm": 140.0, "delta2_rad": 0.02, "axis_z_mm": -25.0, "eccentricity_mm": 2.0}
@@ -25,9 +25,9 @@ TRUTH = {"baseline_mm": 140.0, "delta2_rad": 0.02, "axis_z_mm": -25.0, "eccentri
 def test_truth_is_recovered(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    short = {"BLOCK_STEPS": 200, "TAU_MULTIPLE": 5.0, "ESS_GOAL": 100.0, "R_HAT_LIMIT": 1.5}
+    short = {"TAU_MULTIPLE": 5.0, "ESS_GOAL": 100.0, "R_HAT_LIMIT": 1.5, "WALKER_R_HAT_LIMIT": 9.0}
     for name, value in short.items():
-        monkeypatch.setattr(calib.fit.posterior, name, value)
+        monkeypatch.setattr(calib.fit.chains, name, value)
     monkeypatch.setattr(calib.stages.store, "processors", lambda: 1)  # others would not see that
     data, out = tmp_path / "rig", tmp_path / "out"
     asked = [f"--set={name}={value}" for name, value in TRUTH.items()]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import emcee
 import numpy as np
 import pytest
 from fit_rows import NO_PRIORS, simulated, table_1
@@ -11,15 +12,17 @@ from numpy.random import SeedSequence
 from scipy.stats import multivariate_normal
 
 from calib.core.errors import EstimationError
+from calib.fit.chains import ENSEMBLES, autocorrelation_times
 from calib.fit.compare import compare_models, select
-from calib.fit.density import log_posterior
+from calib.fit.density import LogPosterior, log_posterior
 from calib.fit.importance import sample_importance
 from calib.fit.noise import CLEAN, log_density, row_noise
-from calib.fit.posterior import ENSEMBLES, Posterior, laplace, sample_posterior
+from calib.fit.posterior import Posterior, laplace, posterior_of, sample_posterior
 from calib.fit.priors import NOISE_SCALE, Measured, Priors, measured_of, prior_of
-from calib.fit.robust import RobustFit, fit_robust
+from calib.fit.robust import RobustFit, fit_model, fit_robust
 from calib.geometry.misclosure import misclosure
 from calib.geometry.parameters import MODELS, REFERENCE_OFFSET, STANDOFF, embed, model_for
+from calib.rows.observations import Observations
 
 
 @pytest.fixture(scope="module")
@@ -215,3 +218,48 @@ def test_rule_prefers_the_simpler_model_unless_clearly_worse() -> None:
     mixed = score("axis-offset", [2.0, -1.0] * 4 + [0.0, -1.0])
     assert select([base, mixed])[0] == "base"
     assert select([replace(base, model="axis-offset", loo=-5.0), base])[0] == "base"
+
+
+def plain_emcee(target: LogPosterior, centre: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """Return emcee's own draws, shape (steps, walkers, d), by the moves it has when asked for none.
+
+    They start at the fit, with no importance sample, and the first third is left out.
+    """
+    sampler = emcee.EnsembleSampler(64, target.dimensions, target, vectorize=True)
+    rng = np.random.default_rng(7)
+    sampler.random_state = np.random.RandomState(8).get_state()
+    sampler.run_mcmc(rng.multivariate_normal(centre, covariance, 64), 12_000)
+    draws: np.ndarray = sampler.get_chain(discard=4000)
+    return draws
+
+
+def assert_same_posterior(rows: Observations, model: str) -> None:
+    """Independent tool: means, deviations and limits of plain emcee's long chains."""
+    fit = fit_model(rows, NO_PRIORS, model=model)
+    target = posterior_of(fit, rows, NO_PRIORS)
+    plain = plain_emcee(target, *laplace(fit, target))
+    other_draws = plain[0].size / target.dimensions * len(plain) / autocorrelation_times(plain)
+    assert other_draws.min() > 1500
+    found = sample_posterior(rows, fit, NO_PRIORS, seed=SeedSequence(2))
+    assert found.converged
+    flat, own = plain.reshape(-1, target.dimensions), found.flat
+    std = flat.std(axis=0)
+    draws = 1 / (1 / np.minimum(found.ess_bulk, found.ess_tail) + 1 / other_draws)
+    np.testing.assert_array_less(np.abs(own.mean(0) - flat.mean(0)) / std, 4.5 / np.sqrt(draws))
+    for level in (0.025, 0.1587, 0.8413, 0.975):
+        share = (own < np.quantile(flat, level, axis=0)).mean(axis=0)
+        error = np.sqrt(level * (1 - level) / draws)
+        np.testing.assert_array_less(np.abs(share - level), 4.5 * error)
+
+
+def test_plain_emcee_finds_the_same_on_table_1() -> None:
+    assert_same_posterior(table_1(), "axis-offset")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("model", list(MODELS))
+def test_plain_emcee_finds_the_same(model: str, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    rows, _ = simulated(rng, count=(12, 10, 12, 25, 100)[seed], axis_z_mm=-20.0)
+    assert_same_posterior(rows, model)

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
 
-import calib.fit.posterior
+import calib.fit.chains
 import calib.stages.store
 
 MANIFEST = """\
@@ -50,14 +50,14 @@ a,0.0500,86.200,700
 b,0.1500,92.500,900
 """
 
-SHORT = {"BLOCK_STEPS": 100, "TAU_MULTIPLE": 3.0, "ESS_GOAL": 50.0, "R_HAT_LIMIT": 2.0}
-"""Of `calib.fit.posterior`; no source is changed, so fingerprints are those of full runs."""
+SHORT = {"TAU_MULTIPLE": 3.0, "ESS_GOAL": 50.0, "R_HAT_LIMIT": 2.0, "WALKER_R_HAT_LIMIT": 9.0}
+"""Of `calib.fit.chains`; no source is changed, so fingerprints are those of full runs."""
 
 
 def shorten(assign: Callable[[object, str, object], object]) -> None:
     """Cut the chains short, in this process; `assign` is setattr or monkeypatch.setattr."""
     for name, value in SHORT.items():
-        assign(calib.fit.posterior, name, value)
+        assign(calib.fit.chains, name, value)
     assign(calib.stages.store, "processors", lambda: 1)
 
 

@@ -15,7 +15,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import pytest
 
-import calib.fit.posterior
+import calib.fit.chains
 from calib.chain.calibrate import Options, calibrate
 from calib.core.gate import Gate
 from calib.dataset.load import load_dataset
@@ -53,7 +53,7 @@ MADE = Provenance(
     durations_s={"base/posterior": 1.25},
 )
 
-SHORT = {"BLOCK_STEPS": 100, "TAU_MULTIPLE": 3.0, "ESS_GOAL": 50.0, "R_HAT_LIMIT": 2.0}
+SHORT = {"TAU_MULTIPLE": 3.0, "ESS_GOAL": 50.0, "R_HAT_LIMIT": 2.0, "WALKER_R_HAT_LIMIT": 9.0}
 
 
 @cache
@@ -62,7 +62,7 @@ def paper() -> tuple[Calibration, ReportContext]:
     dataset = load_dataset(DATASET)
     with pytest.MonkeyPatch.context() as patch, TemporaryDirectory() as out:
         for name, value in SHORT.items():
-            patch.setattr(calib.fit.posterior, name, value)
+            patch.setattr(calib.fit.chains, name, value)
         with warnings.catch_warnings():
             # emcee warns of chains as short as these.
             warnings.simplefilter("ignore")

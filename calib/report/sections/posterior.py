@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 from markupsafe import Markup
 
+from calib.fit.chains import ESS_GOAL, R_HAT_LIMIT
 from calib.fit.importance import K_HAT_LIMIT
-from calib.fit.posterior import ESS_GOAL, R_HAT_LIMIT, Posterior
+from calib.fit.posterior import Posterior
 from calib.report.blocks import Block, Cell, DefinitionList, Paragraph, Section, Table, table, words
 from calib.report.context import ReportContext
 from calib.report.figures.posterior import draw_corner

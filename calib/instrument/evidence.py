@@ -11,7 +11,7 @@ from calib.core.arrays import IntArray
 from calib.core.errors import EstimationError
 from calib.dataset.tables import LengthTable
 from calib.geometry.plane import OBSERVABLE, gaze_at
-from calib.instrument.calibrated import CalibratedInstrument, ValidationResult
+from calib.instrument.calibrated import CalibratedInstrument, ValidationResult, reference_std
 from calib.rows.from_table import ValidationRows
 from calib.rows.observations import Observations
 from calib.uncertainty.certified import (
@@ -79,7 +79,7 @@ def gather_evidence(
     return Evidence(
         depths=tuple(depth for depth in found if isinstance(depth, CertifiedDepth)),
         not_certified=tuple(refused),
-        checks=_checks(validation, measured, (low, high), tolerance),
+        checks=_checks(calibrated, validation, measured, tolerance),
         check_reference=check_reference,
         lengths=lengths_found,
         length_limit=length_limit(lengths_found) if lengths_found else None,
@@ -109,16 +109,17 @@ def _rays(calibrated: CalibratedInstrument, rows: Observations, z_mm: float) -> 
 
 
 def _checks(
+    calibrated: CalibratedInstrument,
     validation: ValidationRows | None,
     measured: ValidationResult | None,
-    calibrated_mm: tuple[float, float],
     tolerance: ToleranceRule | None,
 ) -> tuple[CheckedDepth, ...]:
     """Return the checks of rows that were gazed at themselves and have a reference."""
     if validation is None or measured is None:
         return ()
     own = validation.depth_of == np.arange(len(validation.rows))
-    p, u_z = measured.prediction, measured.errors[0].std_mm
+    p, u_z = measured.prediction, reference_std(calibrated, validation)
+    low, high = (float(z) for z in calibrated.calibrated_mm)
     return tuple(
         check_depth(
             name=measured.ids[i],
@@ -128,7 +129,7 @@ def _checks(
             u_mm=float(p.u_mm[i]),
             low95_mm=float(p.low95_mm[i]),
             high95_mm=float(p.high95_mm[i]),
-            calibrated_mm=calibrated_mm,
+            calibrated_mm=(low, high),
             tolerance=tolerance,
         )
         for i in np.flatnonzero(own & np.isfinite(measured.reference_mm))

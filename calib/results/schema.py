@@ -35,6 +35,13 @@ class DatasetPart(Part):
     )
 
 
+class RigPart(Part):
+    """The rig."""
+
+    c2: Literal["right", "left"] = Field(description="side of C1 on which C2 stands")
+    serial: str | None = None
+
+
 class Lens(Part):
     """A solve of one camera's intrinsics."""
 
@@ -307,6 +314,7 @@ class Document(Part):
     format: Literal[1]
     generator: str
     dataset: DatasetPart
+    rig: RigPart
     seed: int
     intrinsics: dict[Literal["c1", "c2"], Intrinsics] | None = None
     stereo: StereoPart | None = None

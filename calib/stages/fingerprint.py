@@ -26,7 +26,7 @@ PACKAGE = "calib"
 _NAME_ENDS = re.compile(r"[^\w.-]")
 
 # Distributions that are not called as their module is.
-_DISTRIBUTIONS = {"cv2": "opencv-contrib-python-headless"}
+_DISTRIBUTIONS = {"cv2": "opencv-contrib-python-headless", "yaml": "PyYAML"}
 
 
 def digest(*parts: object) -> str:
@@ -92,11 +92,19 @@ _BLOCKS = ("body", "orelse", "finalbody", "handlers", "cases")
 
 
 def _statements(node: ast.AST) -> Iterable[ast.AST]:
-    """Return all statements below `node`, at any depth."""
+    """Return all statements below `node` that can run, at any depth."""
     for block in _BLOCKS:
+        if block == "body" and _for_types_alone(node):
+            continue
         for statement in getattr(node, block, ()):
             yield statement
             yield from _statements(statement)
+
+
+def _for_types_alone(node: ast.AST) -> bool:
+    """Return whether a statement's body is read by type checkers and never run."""
+    test = getattr(node, "test", None)
+    return isinstance(node, ast.If) and isinstance(test, ast.Name) and test.id == "TYPE_CHECKING"
 
 
 def _imported(node: ast.AST) -> Iterable[str]:

@@ -19,7 +19,7 @@ import tomli_w
 from chain_runs import run_chain
 from left_rigs import ODD, mirror_dataset
 
-import calib.fit.posterior
+import calib.fit.chains
 import calib.stages.store
 from calib.chain.images import ImageStages, image_stages
 from calib.chain.rows import gaze_rows
@@ -39,7 +39,7 @@ from calib.stages.store import Store
 
 CLOSE = 1e-9
 SIDES = ("right", "left")
-SHORT = {"BLOCK_STEPS": 100, "TAU_MULTIPLE": 3.0, "ESS_GOAL": 50.0, "R_HAT_LIMIT": 2.0}
+SHORT = {"TAU_MULTIPLE": 3.0, "ESS_GOAL": 50.0, "R_HAT_LIMIT": 2.0, "WALKER_R_HAT_LIMIT": 9.0}
 TABLES = SimulationOptions(seed=7, model="axis-tilt", rows=16, validation_rows=6)
 PICTURES = SimulationOptions(
     seed=11,
@@ -121,7 +121,7 @@ def test_tables_of_a_left_rig_give_the_mirror_image(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for name, value in SHORT.items():
-        monkeypatch.setattr(calib.fit.posterior, name, value)
+        monkeypatch.setattr(calib.fit.chains, name, value)
     monkeypatch.setattr(calib.stages.store, "processors", lambda: 1)
     simulate_dataset(tmp_path / "right", TABLES)
     manifest = tomllib.loads((tmp_path / "right" / "dataset.toml").read_text())

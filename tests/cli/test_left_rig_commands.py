@@ -15,11 +15,11 @@ import numpy as np
 import pytest
 from command import call
 
-import calib.fit.posterior
+import calib.fit.chains
 import calib.stages.store
 from calib.geometry.plane import gaze_at
 
-SHORT = {"BLOCK_STEPS": 200, "TAU_MULTIPLE": 5.0, "ESS_GOAL": 100.0, "R_HAT_LIMIT": 1.5}
+SHORT = {"TAU_MULTIPLE": 5.0, "ESS_GOAL": 100.0, "R_HAT_LIMIT": 1.5, "WALKER_R_HAT_LIMIT": 9.0}
 SERIAL = "AG-0042"
 
 
@@ -30,7 +30,7 @@ def rig(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with pytest.MonkeyPatch.context() as patch, warnings.catch_warnings():
         warnings.simplefilter("ignore")  # emcee warns of chains as short as these
         for name, value in SHORT.items():
-            patch.setattr(calib.fit.posterior, name, value)
+            patch.setattr(calib.fit.chains, name, value)
         patch.setattr(calib.stages.store, "processors", lambda: 1)
         from calib.cli.main import main
 

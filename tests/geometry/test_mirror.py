@@ -19,7 +19,7 @@ from calib.geometry.mirror import (
     signs,
 )
 from calib.geometry.misclosure import depth_jacobian, misclosure
-from calib.geometry.parameters import NAMES, vector
+from calib.geometry.parameters import NAMES, REFERENCE_OFFSET, vector
 from calib.geometry.plane import Gaze, depth, gaze_at
 from calib.simulate.rig import c2_pose, draw_rig, mirror_rig, yaw_axis_in_c2
 
@@ -29,7 +29,7 @@ FULL = {
     "baseline_mm": 90.0, "delta2_rad": 0.02, "axis_z_mm": -18.0, "eccentricity_mm": 6.0,
     "axis_tilt_x_rad": 0.02, "axis_tilt_z_rad": -0.03, "gaze_roll_rad": 0.025,
     "encoder_scale": 0.01, "encoder_cos_rad": 0.002, "encoder_sin_rad": -0.003,
-    "standoff_mm": 35.0,
+    "standoff_mm": 35.0, "reference_offset_mm": 20.0,
 }  # fmt: skip
 
 
@@ -59,7 +59,8 @@ def test_depth_and_misclosure_in_the_mirror() -> None:
     )
     np.testing.assert_allclose(there.value, -here.value, atol=1e-14)
     own, other = depth_jacobian(theta, gaze), depth_jacobian(SIGN * theta, _mirrored(gaze))
-    scale = np.abs(own.by_theta).max(axis=0)
+    # Where reference depths are counted from moves no depth.
+    scale = np.where(np.array(NAMES) == REFERENCE_OFFSET, 1, np.abs(own.by_theta).max(axis=0))
     np.testing.assert_allclose(other.by_theta * SIGN / scale, own.by_theta / scale, atol=1e-11)
     np.testing.assert_allclose(
         other.by_observable * np.array(OBSERVABLE_SIGN[:4]), own.by_observable, rtol=1e-9, atol=1e-9
@@ -69,7 +70,7 @@ def test_depth_and_misclosure_in_the_mirror() -> None:
 def test_each_parameter_counts_in_the_depths_compared() -> None:
     theta, gaze = vector(FULL), _gazes()
     z = depth(theta, gaze)
-    for i in range(len(SIGN)):
+    for i in np.flatnonzero(np.array(NAMES) != REFERENCE_OFFSET):
         wrong = SIGN * theta
         wrong[i] *= -1
         assert np.abs(depth(wrong, _mirrored(gaze)) / z - 1).max() > 1e-4, NAMES[i]

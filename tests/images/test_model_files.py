@@ -15,9 +15,8 @@ from calib.geometry.camera import Camera, intrinsic_vector
 from calib.images.intrinsics.model_files import cameramodel_text, opencv_text
 
 MATRIX = np.array([[540.123456789, 0, 322.3], [0, 541.5, 236.8], [0, 0, 1]])
-CAMERAS = [
-    Camera(MATRIX, np.linspace(-0.25, 0.01, count), (640, 480)) for count in (0, 4, 5, 8, 12)
-]
+LENS = np.array([-0.25, 0.1, 1e-3, -2e-3, 0.03, 0.2, 0.05, 0.01, 1e-3, -2e-3, 3e-3, 1e-3])
+CAMERAS = [Camera(MATRIX, LENS[:count], (640, 480)) for count in (0, 4, 5, 8, 12)]
 
 
 @pytest.mark.parametrize("camera", CAMERAS, ids=lambda c: f"{len(c.distortion)} coefficients")

@@ -74,7 +74,11 @@ def _imports(module: str) -> _Code:
     foreign: set[str] = set()
     if path is None:
         return _Code(frozenset(), frozenset(), ())
-    for node in _statements(ast.parse(path.read_bytes())):
+    tree = ast.parse(path.read_bytes())
+    if module == PACKAGE:
+        # Its names are looked up when they are used: no module reaches them by their package.
+        tree.body = [node for node in tree.body if not _for_types_alone(node)]
+    for node in _statements(tree):
         for name in _imported(node):
             if name.split(".")[0] != PACKAGE:
                 foreign.add(name.split(".")[0])
@@ -92,10 +96,8 @@ _BLOCKS = ("body", "orelse", "finalbody", "handlers", "cases")
 
 
 def _statements(node: ast.AST) -> Iterable[ast.AST]:
-    """Return all statements below `node` that can run, at any depth."""
+    """Return all statements below `node`, at any depth."""
     for block in _BLOCKS:
-        if block == "body" and _for_types_alone(node):
-            continue
         for statement in getattr(node, block, ()):
             yield statement
             yield from _statements(statement)

@@ -17,6 +17,7 @@ from command import call
 
 import calib.fit.chains
 import calib.stages.store
+from calib.geometry.parameters import vector
 from calib.geometry.plane import gaze_at
 
 SHORT = {"TAU_MULTIPLE": 5.0, "ESS_GOAL": 100.0, "R_HAT_LIMIT": 1.5, "WALKER_R_HAT_LIMIT": 9.0}
@@ -82,10 +83,8 @@ def test_planned_targets_are_gazed_at_from_the_left(
     start = next(i for i, line in enumerate(lines) if line.startswith("G-optimal"))
     result = json.loads((rig / "out" / "calibration.json").read_text())["fits"]
     fit = result["axis-offset/robust"]
-    theta = np.zeros(11)
-    for name, place in (("baseline_mm", 0), ("delta2_rad", 1), ("axis_z_mm", 2),
-                        ("eccentricity_mm", 3)):  # fmt: skip
-        theta[place] = fit["parameters"][name]["value"]
+    names = ("baseline_mm", "delta2_rad", "axis_z_mm", "eccentricity_mm")
+    theta = vector({name: fit["parameters"][name]["value"] for name in names})
     for line in lines[start + 2 : start + 5]:
         _, x, y, z, _, alpha2, _ = map(float, line.split())
         expected = np.degrees(gaze_at(theta, np.array([[x, y, z]])).alpha2[0])

@@ -17,6 +17,8 @@ from calib.checks.stereo_pose import pose_warnings
 from calib.checks.verdict import all_gates, all_warnings, disagreements
 from calib.dataset.contents import Dataset
 from calib.dataset.tables import LengthTable
+from calib.diagnosis.engine import diagnose
+from calib.diagnosis.session import row_history
 from calib.fit.compare import compare_models
 from calib.fit.convex import fit_convex
 from calib.fit.group_check import check_groups
@@ -235,6 +237,10 @@ def _measure(
                            fitted.posterior[selected], fitted.robust[selected], rows, setup))
     depths = run(stage("depths", tabulate_depths,
                        calibrated, low_mm=low, high_mm=high, seed=seed))
+    diagnosis = run(stage("diagnosis", diagnose,
+                          rows, priors, fitted.robust[selected],
+                          given("row history", row_history(dataset)), depths,
+                          is_left=mirror is not None))
     average = run(stage("average", build_average,
                         posteriors, fits, comparison, rows, setup, calibrated, depths, seed=seed))
     measured = None
@@ -253,6 +259,7 @@ def _measure(
         average=average.value,
         validation=None if measured is None else measured.value,
         groups=groups.value,
+        diagnosis=diagnosis.value,
         evidence=evidence.get(),
     )
 

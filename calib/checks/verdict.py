@@ -8,6 +8,7 @@ import numpy as np
 
 from calib.core.arrays import FloatArray
 from calib.core.gate import Gate
+from calib.diagnosis.engine import Cause, Diagnosis
 from calib.fit.chains import ESS_GOAL, R_HAT_LIMIT
 from calib.fit.group_check import GroupCheck
 from calib.fit.identifiability import Identifiability
@@ -115,6 +116,8 @@ def gaze_gates(gaze: GazeResult) -> tuple[Gate, ...]:
         gates.append(gaze.identifiability[selected].gate)
     if gaze.calibrated is not None and gaze.depths is not None:
         gates.append(_depth(gaze.calibrated, gaze.depths))
+    if gaze.diagnosis is not None:
+        gates.append(_diagnosis(gaze.diagnosis))
     return tuple(gates)
 
 
@@ -218,6 +221,28 @@ def _depth(calibrated: CalibratedInstrument, depths: DepthTable) -> Gate:
     return Gate("depth", passed=passed, detail=detail)
 
 
+def _diagnosis(found: Diagnosis) -> Gate:
+    """Gate on mistakes that the rows show and that move depths."""
+    cause = found.left_out
+    if cause is None:
+        detail = "no mistake is known that explains the rows better and moves depths by their u"
+        return Gate("diagnosis", passed=True, detail=detail)
+    return Gate(
+        "diagnosis",
+        passed=False,
+        detail=f"{cause_text(found, cause)}. It moves a depth by {cause.effect:.2g} u",
+    )
+
+
+def cause_text(found: Diagnosis, cause: Cause) -> str:
+    """Return what a cause says, its remedy and what else it may be."""
+    text = f"{cause.name}: {cause.text}; {cause.hypothesis.remedy}"
+    others = found.others(cause)
+    if others:
+        text += f". As well it may be {' or '.join(others)}: {cause.hypothesis.tells}"
+    return text
+
+
 def gaze_warnings(gaze: GazeResult) -> tuple[str, ...]:
     """Return what the reader should know of the gaze calibration."""
     found = []
@@ -247,6 +272,12 @@ def gaze_warnings(gaze: GazeResult) -> tuple[str, ...]:
         ]
     if gaze.groups is not None and gaze.groups.together:
         found.append(_together(gaze.groups))
+    if gaze.diagnosis is not None:
+        found += [
+            f"the rows show {cause_text(gaze.diagnosis, cause)}"
+            for cause in gaze.diagnosis.causes[:1]
+            if cause is not gaze.diagnosis.left_out
+        ]
     if gaze.average is not None and gaze.depths is not None:
         told = doubt_of(gaze.average, gaze.depths)
         found += [] if told is None else [told]

@@ -235,10 +235,14 @@ class Rig(Section):
 
 
 class Encoder(Section):
-    """The yaw encoder: one count or microstep, and what else is uncertain of a reading."""
+    """The yaw encoder: one count or microstep, and what else is uncertain of a reading.
+
+    `full_step_deg` is a stepper's full step at the axis, in which microsteps repeat their error.
+    """
 
     resolution_deg: StepDeg
     u_alpha2_deg: UAngleDeg = 0.0
+    full_step_deg: StepDeg | None = None
 
     @property
     def std_rad(self) -> float:

@@ -292,6 +292,26 @@ class ValidationRow(Part):
     own_angle_z_mm: dict[str, float]
 
 
+class CausePart(Part):
+    """A mistake that the rows show."""
+
+    cause: str = Field(description="name of a hypothesis")
+    at: str | None = Field(None, description="row, rows or group where it struck")
+    estimate: float | None = None
+    std: float | None = None
+    unit: str
+    gain: float = Field(
+        description="evidence, nats: gain in log marginal likelihood less penalties"
+    )
+    noise_scale: tuple[float, float] = Field(description="without and with it")
+    depth_change_over_u: float = Field(description="largest, if it is left out")
+    in_model: bool = Field(description="whether the model allows for it already")
+    text: str
+    remedy: str
+    fits_as_well: list[str] = Field(description="causes that explain the rows about as well")
+    told_apart_by: str
+
+
 class GatePart(Part):
     """A check of the result."""
 
@@ -329,6 +349,7 @@ class Document(Part):
     depth_uncertainty_average: list[AverageDepth] | None = None
     validation: list[ValidationRow] | None = None
     validation_summary: dict[str, dict[str, float]] | None = None
+    diagnosis: list[CausePart] | None = Field(None, description="best first")
     not_fitted: dict[str, str] | None = None
     gates: list[GatePart]
     warnings: list[str]

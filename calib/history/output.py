@@ -18,8 +18,13 @@ def tables(runs: Sequence[Run], drifts: Sequence[Drift]) -> list[Table]:
         ("Parameters", _parameters(runs)),
         ("Predictive scores", _scores(runs)),
         ("u(z), mm", _depth_u(runs)),
-        *((_title(d), _changes(d)) for d in drifts),
+        *changes_tables(drifts),
     ]
+
+
+def changes_tables(drifts: Sequence[Drift]) -> list[Table]:
+    """Return what changed from one run to another, a table a pair."""
+    return [(_title(d), _changes(d)) for d in drifts]
 
 
 def _runs(runs: Sequence[Run]) -> list[list[str]]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from dataclasses import replace
 
 import pytest
@@ -103,7 +104,7 @@ def test_a_driver_that_hands_out_the_frame_before_is_caught_by_its_pictures():
     with virtual_rig() as rig:
         found = checked(rig, c2=Behind(rig.c2))
     failed = {check.name: check.detail for check in found.failed}
-    assert "100 % of the way back" in failed["frame age"]
+    assert re.search(r"shows C2 (9|10)\d % of the way back", failed["frame age"])
 
 
 def test_an_open_loop_axis_is_good_at_whole_steps_alone():

@@ -18,7 +18,10 @@ AXES: Final = "calib.axes"
 
 BUILT_IN: Final = (
     EntryPoint("virtual", "calib.rig.virtual.camera:open_camera", CAMERAS),
+    EntryPoint("gige", "calib.rig.drivers.gige:open_camera", CAMERAS),
+    EntryPoint("video", "calib.rig.drivers.video:open_camera", CAMERAS),
     EntryPoint("virtual", "calib.rig.virtual.axis:open_axis", AXES),
+    EntryPoint("ximc", "calib.rig.drivers.ximc:open_axis", AXES),
 )
 """Drivers that come with this package; they need no metadata of an installation."""
 

@@ -22,6 +22,9 @@ MARK = b'data-generator="calib history chart" '
 CHART = OutputKind(is_folder=False, marks=(MARK,))
 """Known by its generator."""
 
+FLEET = "index.html"
+PAGES = OutputKind(is_folder=True, marks=(FLEET,))
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's own commands."""
@@ -45,18 +48,33 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     _index(add)
     add.set_defaults(run=_run_chart)
 
+    add = commands.add_parser("page", help="pages of all rigs, and of each")
+    add.add_argument("--rig", metavar="RIG", help="write this rig's page alone, and that of all")
+    add_output(
+        add, "--out", kind=PAGES, default=Path("reports/history"), metavar="DIR",
+        help="default: reports/history",
+    )  # fmt: skip
+    _tolerance(add, required=False)
+    _accepted(add)
+    _index(add)
+    add.set_defaults(run=_run_page)
+
     add = commands.add_parser("due", help="when a rig is due for its next calibration")
     add.add_argument("rig", metavar="RIG", help="serial number")
-    add.add_argument(
-        "--tolerance", type=_millimetres, required=True, metavar="MM",
-        help="largest tolerated error of a depth by drift, over the calibrated range",
-    )  # fmt: skip
+    _tolerance(add, required=True)
     add.add_argument(
         "--repaired", type=_date, metavar="DATE",
         help="of the last repair or adjustment; calibrations before it do not count",
     )  # fmt: skip
     _index(add)
     add.set_defaults(run=_run_due)
+
+
+def _tolerance(parser: argparse.ArgumentParser, *, required: bool) -> None:
+    parser.add_argument(
+        "--tolerance", type=_millimetres, required=required, metavar="MM",
+        help="largest tolerated error of a depth by drift, over the calibrated range",
+    )  # fmt: skip
 
 
 def _accepted(parser: argparse.ArgumentParser) -> None:
@@ -153,9 +171,8 @@ def _run_chart(arguments: argparse.Namespace) -> int:
 
 def _run_due(arguments: argparse.Namespace) -> int:
     from calib.core.errors import InputError
-    from calib.history.due import LONGEST
     from calib.history.index import history
-    from calib.history.summary import due
+    from calib.history.summary import due, due_text
 
     entries = history(arguments.index, arguments.rig)
     found = due(entries, tolerance_mm=arguments.tolerance, repaired=arguments.repaired)
@@ -165,14 +182,23 @@ def _run_due(arguments: argparse.Namespace) -> int:
             what="has fewer than two calibrations on different days, so no interval",
             remedy="calibrate it again after an interval of your choice",
         )
-    day, result, where = found
-    print(f"{arguments.rig}: due on {day}, decided by the {where.name}")
-    print(f"ILAC-G24:2022 / OIML D 10, {result.method}")
-    if result.risk is not None:
-        print(
-            f"probability of being out of tolerance then: {100 * result.risk:.1f} % if it drifts "
-            "steadily; more if it also jumps (docs/history.md)"
-        )
-    if result.capped:
-        print(f"capped at {LONGEST} times the last interval")
+    print(f"{harmless(arguments.rig)}: " + "\n".join(due_text(found)))
+    return 0
+
+
+def _run_page(arguments: argparse.Namespace) -> int:
+    from calib.history.index import history, rigs
+    from calib.history.page import fleet_page, page_name, rig_page
+    from calib.history.summary import ACCEPTED
+    from calib.stages.store import write_bytes
+
+    asked = {"accepted": arguments.accepted or ACCEPTED, "tolerance_mm": arguments.tolerance}
+    fleet = [history(arguments.index, rig) for rig, _, _ in rigs(arguments.index)]
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    for entries in fleet:
+        if arguments.rig is None or entries[0].rig == arguments.rig:
+            page = rig_page(entries, **asked)
+            write_bytes(arguments.out / page_name(entries[0].rig), page.encode())
+    write_bytes(arguments.out / FLEET, fleet_page(fleet, **asked).encode())
+    print(f"{harmless(str(arguments.out / FLEET))}: written")
     return 0

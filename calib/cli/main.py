@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from types import ModuleType
 
 from calib.cli import (
+    batch,
     calibrate,
     check,
     compare,
@@ -52,6 +53,7 @@ GROUPS: tuple[tuple[str, tuple[Command, ...]], ...] = (
         "calibrate",
         (
             Command("calibrate", calibrate, "run the whole chain on a dataset"),
+            Command("batch", batch, "calibrate many datasets, with one summary"),
             Command("check", check, "list every problem of a dataset; writes nothing"),
             Command("verify", verify, "are the files of a run whole and untouched?"),
             Command("schema", schema, "JSON Schema of dataset.toml or calibration.json"),

@@ -15,9 +15,10 @@ from calib.core.arrays import FloatArray
 from calib.core.errors import InputError, Problem
 from calib.dataset import manifest as spec
 from calib.dataset.camera_file import MODEL_LIMIT_BYTES, read_camera
-from calib.dataset.checks import doubts, faults
+from calib.dataset.checks import faults
 from calib.dataset.contents import Dataset
 from calib.dataset.corner_cache import read_cache
+from calib.dataset.doubts import doubts
 from calib.dataset.faults import MANIFEST, MANIFEST_LIMIT_BYTES, parse_manifest
 from calib.dataset.folder import TABLE_LIMIT_BYTES, Folder, by_star, decode, matches, path_fault
 from calib.dataset.messages import shortened, shown, text_fault
@@ -101,7 +102,7 @@ class _Loading:
         parsed = parse_manifest(data)
         self.problems += parsed.problems
         tables = parsed.tables
-        scan_rows = partial(scan_gaze, is_left=parsed.is_left)
+        scan_rows = partial(scan_gaze, is_left=parsed.is_left, step_deg=parsed.step_deg)
         gaze = self._table(tables, "gaze", scan_rows)
         validation = self._table(tables, "validation", scan_rows)
         sweep = self._table(tables, "sweep", scan_sweep)

@@ -299,7 +299,7 @@ def test_doubts_are_warnings(tmp_path: Path, old: str, new: str, said: str) -> N
 
 
 def test_targets_at_one_depth_are_a_warning(tmp_path: Path) -> None:
-    rows = "".join(f"{i},{i / 20},0,{89 + i / 2},{500 + i / 2}\n" for i in range(6))
+    rows = "".join(f"{i},{i / 20},0,{89.01 + i / 2},{500 + i / 2}\n" for i in range(6))
     write_dataset(tmp_path, gaze__csv="id,x1c,y1c,alpha2_deg,z_mm\n" + rows)
     (warning,) = load_dataset(tmp_path).warnings
     assert "500 to 502.5 mm" in warning

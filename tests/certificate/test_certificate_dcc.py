@@ -179,7 +179,8 @@ def test_budget_and_expanded_uncertainty_are_those_of_the_page() -> None:
             assert share == float(printed.share)
             assert abs(sensitivity) * float(u) == pytest.approx(contribution, rel=0.06)
     stated = [*data.parameters, *(d.depth for d in data.depths), *(e for e, _ in data.checks)]
-    stated = [r for r in [*stated, *data.lengths] if r.from_interval]
+    stated = [*stated, *data.lengths]
+    stated = [r for r in stated if r.from_interval and r.coverage_factor]
     for element, result in zip(named("expanded uncertainty"), stated, strict=True):
         values = texts(element, "dcc:quantity/si:real/si:value")
         assert values == [result.expanded_uncertainty, result.coverage_factor]

@@ -165,7 +165,7 @@ class Camera(Section):
                 f"exactly one of images, model and matrix is needed, {what}",
                 "keep the one the intrinsics are to come from",
             )
-        if self.image_size is None and self.model is None:
+        if self.image_size is None and self.matrix is not None:
             refuse("image_size is missing", "add image_size = [width, height] in pixels")
         return self
 
@@ -309,6 +309,7 @@ class Certificate(Section):
     """What the certificate prints; "not stated" where it is silent.
 
     `replaces` is the identifier of the certificate that this one amends, `amendment` the reason.
+    `next_calibration` is for a customer who has asked for a date (ISO/IEC 17025:2017, 7.8.4.3).
     """
 
     laboratory: Line | None = None
@@ -328,6 +329,7 @@ class Certificate(Section):
     country: Country | None = None
     replaces: Line | None = None
     amendment: Prose | None = None
+    next_calibration: Day | None = None
     tolerance: Tolerance | None = None
     decision_rule: Literal["simple", "guard-band"] = "simple"
 

@@ -233,7 +233,7 @@ def _two_sided(loadings: FloatArray, hypothesis: Hypothesis, base: Base) -> Outc
     here = log_density(r, log_scale, ROBUST)
     other = log_density(r + 2 * side * half, log_scale, ROBUST)
     loss = float((np.logaddexp(here, other) - np.log(2) - here).sum())
-    return replace(found, gain=found.gain + loss)
+    return replace(found, gain=found.gain + loss, values=np.abs(found.values))
 
 
 def _mended(trial: Mended, base: Base) -> Outcome | None:

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from dataset_examples import GAZE, MANIFEST, replaced, write_dataset
+from dataset_examples import GAZE, MANIFEST, PNG, replaced, write_dataset
 
 from calib.core.errors import InputError
 from calib.dataset.faults import parse_manifest
@@ -25,7 +25,6 @@ from calib.dataset.load import check_dataset, load_dataset
 from calib.dataset.manifest import Manifest
 from calib.dataset.readers import read_gaze, read_lengths, read_measurements, read_sweep
 
-PNG = b"\x89PNG, only looked at by the detector"
 GIVEN_CAMERA = MANIFEST[MANIFEST.index("[cameras.c1]") : MANIFEST.index("[encoder]")]
 
 IMAGE_MANIFEST = (
@@ -299,7 +298,7 @@ def test_doubts_are_warnings(tmp_path: Path, old: str, new: str, said: str) -> N
 
 
 def test_targets_at_one_depth_are_a_warning(tmp_path: Path) -> None:
-    rows = "".join(f"{i},{i / 20},0,{89 + i / 2},{500 + i / 2}\n" for i in range(6))
+    rows = "".join(f"{i},{i / 20},0,{89.01 + i / 2},{500 + i / 2}\n" for i in range(6))
     write_dataset(tmp_path, gaze__csv="id,x1c,y1c,alpha2_deg,z_mm\n" + rows)
     (warning,) = load_dataset(tmp_path).warnings
     assert "500 to 502.5 mm" in warning

@@ -9,7 +9,7 @@ from scipy.stats import chi2
 
 from calib.core.arrays import FloatArray
 from calib.core.gate import Gate
-from calib.diagnosis.engine import Cause, Diagnosis
+from calib.diagnosis.engine import Diagnosis
 from calib.fit.chains import ESS_GOAL, R_HAT_LIMIT
 from calib.fit.group_check import GroupCheck
 from calib.fit.identifiability import Identifiability
@@ -236,17 +236,8 @@ def _diagnosis(found: Diagnosis) -> Gate:
     return Gate(
         "diagnosis",
         passed=False,
-        detail=f"{cause_text(found, cause)}. It moves a depth by {cause.effect:.2g} u",
+        detail=f"{found.words(cause)}. It moves a depth by {cause.effect:.2g} u",
     )
-
-
-def cause_text(found: Diagnosis, cause: Cause) -> str:
-    """Return what a cause says, its remedy and what else it may be."""
-    text = f"{cause.name}: {cause.text}; {cause.hypothesis.remedy}"
-    others = found.others(cause)
-    if others:
-        text += f". As well it may be {' or '.join(others)}: {cause.hypothesis.tells}"
-    return text
 
 
 def gaze_warnings(gaze: GazeResult) -> tuple[str, ...]:
@@ -279,9 +270,11 @@ def gaze_warnings(gaze: GazeResult) -> tuple[str, ...]:
         ]
     if gaze.groups is not None and gaze.groups.together:
         found.append(_together(gaze.groups))
+    if gaze.correction is not None:
+        found.append(f"the rows are corrected ([corrections]): {gaze.correction.text}")
     if gaze.diagnosis is not None:
         found += [
-            f"the rows show {cause_text(gaze.diagnosis, cause)}"
+            f"the rows show {gaze.diagnosis.words(cause)}"
             for cause in gaze.diagnosis.causes[:1]
             if cause is not gaze.diagnosis.left_out
         ]

@@ -11,6 +11,7 @@ from typing import Final, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from calib.dataset.corrections import AcceptedCause
 from calib.dataset.depth_origin import DepthOrigin, origin_of
 from calib.dataset.fields import (
     AngleDeg,
@@ -299,6 +300,12 @@ class Table(Section):
     table: Line
 
 
+class Corrections(Section):
+    """A diagnosed cause that is accepted: the rows are corrected by its estimate."""
+
+    accept: AcceptedCause
+
+
 class Tolerance(Section):
     """What depth is certified against, in parts of z."""
 
@@ -360,6 +367,7 @@ class Manifest(Section):
     sweep: Table | None = None
     lengths: Table | None = None
     priors: Priors = Field(default_factory=dict)
+    corrections: Corrections | None = None
     published: Published = Field(default_factory=dict)
     certificate: Certificate = Certificate()
 

@@ -64,6 +64,7 @@ class Outcome:
     before: Refit
     ids: tuple[str, ...]
     is_carried: bool = False
+    mended: Observations | None = None
 
 
 @dataclass(frozen=True)
@@ -249,14 +250,15 @@ def _mended(trial: Mended, base: Base) -> Outcome | None:
     refit = found[0]
     none = Added.none(len(trial.rows)).loadings
     mended = Outcome(
-        trial.at,
-        refit,
-        none,
-        base.gain(refit),
-        np.zeros(0),
-        np.zeros((0, 0)),
-        base.refit,
-        base.looked.rows.ids,
+        at=trial.at,
+        refit=refit,
+        loadings=none,
+        gain=base.gain(refit),
+        values=np.zeros(0),
+        covariance=np.zeros((0, 0)),
+        before=base.refit,
+        ids=base.looked.rows.ids,
+        mended=trial.rows,
     )
     return mended if trial.share is None else _sized(trial.share, mended, base)
 

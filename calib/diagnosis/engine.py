@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,7 +36,7 @@ _OF_OUTLIERS = ("rows-exchanged", "unit", "group-reference")
 
 
 @dataclass(frozen=True)
-class Cause:
+class Attempt:
     """A hypothesis as the rows have it.
 
     Parameters
@@ -50,6 +51,32 @@ class Cause:
     gain
         Evidence for it, nats: the gain in the logarithm of the marginal likelihood, less penalties
         for hypotheses and places tried.
+    """
+
+    name: str
+    at: str | None
+    estimate: float
+    std: float
+    gain: float
+
+    @property
+    def hypothesis(self) -> Hypothesis:
+        """Its entry in the table."""
+        return HYPOTHESES[self.name]
+
+    @property
+    def text(self) -> str:
+        """What it says, with its figures."""
+        value = f"{self.estimate:.3g} +- {self.std:.2g} {self.hypothesis.unit}".removesuffix(" 1")
+        return self.hypothesis.text.format(value=value, at=self.at)
+
+
+@dataclass(frozen=True)
+class Cause(Attempt):
+    """A hypothesis that the rows speak for.
+
+    Parameters
+    ----------
     noise_scale
         Without and with it.
     effect
@@ -62,11 +89,6 @@ class Cause:
         Theirs, without and with it, shape (2, n).
     """
 
-    name: str
-    at: str | None
-    estimate: float
-    std: float
-    gain: float
     noise_scale: tuple[float, float]
     effect: float
     is_carried: bool
@@ -74,16 +96,9 @@ class Cause:
     residual_mrad: FloatArray
 
     @property
-    def hypothesis(self) -> Hypothesis:
-        """Its entry in the table."""
-        return HYPOTHESES[self.name]
-
-    @property
     def text(self) -> str:
         """What it says, with its figures."""
-        value = f"{self.estimate:.3g} +- {self.std:.2g} {self.hypothesis.unit}".removesuffix(" 1")
-        said = self.hypothesis.text.format(value=value, at=self.at)
-        return f"{said}; the model allows for it" if self.is_carried else said
+        return f"{super().text}; the model allows for it" if self.is_carried else super().text
 
 
 @dataclass(frozen=True)
@@ -96,10 +111,13 @@ class Diagnosis:
         Model of the fit that was diagnosed.
     causes
         Those named, best first; all of them fit nearly as well.
+    tried
+        All that were tried and that the rows can tell something of, best first.
     """
 
     model: str
     causes: tuple[Cause, ...] = ()
+    tried: tuple[Attempt, ...] = ()
 
     @property
     def left_out(self) -> Cause | None:
@@ -110,6 +128,13 @@ class Diagnosis:
     def others(self, cause: Cause) -> tuple[str, ...]:
         """Return the names of the causes that explain the rows about as well as one of them."""
         return tuple(other.name for other in self.causes if other.name != cause.name)
+
+    def words(self, cause: Cause) -> str:
+        """Return what a cause says, its remedy and what else it may be."""
+        text = f"{cause.name}: {cause.text}; {cause.hypothesis.remedy}"
+        if others := self.others(cause):
+            text += f". As well it may be {' or '.join(others)}: {cause.hypothesis.tells}"
+        return text
 
 
 def diagnose(
@@ -165,8 +190,15 @@ class Tried:
         history: RowHistory,
         *,
         is_left: bool,
+        only: Sequence[str] = tuple(HYPOTHESES),
     ) -> Tried | None:
-        """Return what came of it; None where the rows are too few."""
+        """Return what came of it; None where the rows are too few.
+
+        Parameters
+        ----------
+        only
+            Hypotheses to try.
+        """
         session = Session.of(rows, history, is_left=is_left)
         rejected = fit.rejected
         if len(rows) > MOST_ROWS:
@@ -179,13 +211,13 @@ class Tried:
         if not kept or not whole or not kept[0].is_free_enough():
             return None
         outcomes: dict[str, Outcome] = {}
-        for hypothesis in HYPOTHESES.values():
+        for hypothesis in (HYPOTHESES[name] for name in only):
             for base in whole if hypothesis.name in _OF_OUTLIERS else kept:
                 found = best_of(hypothesis, base)
                 best = outcomes.get(hypothesis.name)
                 if found is not None and (best is None or found.gain > best.gain):
                     outcomes[hypothesis.name] = found
-        if REFERENCE_OFFSET in fit.names:
+        if REFERENCE_OFFSET in fit.names and "reference-offset" in only:
             carried = carried_offset(kept)
             if carried is not None:
                 outcomes["reference-offset"] = carried
@@ -201,7 +233,12 @@ class Tried:
     def diagnosis(self, depths: DepthTable) -> Diagnosis:
         """Return the decisive ones, with their effects on depths."""
         causes = tuple(self._cause(name, depths) for name in self.named)
-        return Diagnosis(self.model, causes)
+        ranked = sorted(self.outcomes, key=lambda name: -self.outcomes[name].gain)
+        tried = tuple(self._attempt(name) for name in ranked)
+        return Diagnosis(self.model, causes, tried)
+
+    def _attempt(self, name: str) -> Attempt:
+        return attempt_of(HYPOTHESES[name], self.outcomes[name])
 
     def _cause(self, name: str, depths: DepthTable) -> Cause:
         hypothesis, found = HYPOTHESES[name], self.outcomes[name]
@@ -231,6 +268,12 @@ class Tried:
         change = np.abs(after - before) / u
         good = np.isfinite(change)
         return float(change[good].max()) if good.any() else 0.0
+
+
+def attempt_of(hypothesis: Hypothesis, found: Outcome) -> Attempt:
+    """Return the best trial of a hypothesis in its unit."""
+    value, std = _stated(hypothesis, found)
+    return Attempt(hypothesis.name, found.at, value, std, found.gain)
 
 
 def _stated(hypothesis: Hypothesis, found: Outcome) -> tuple[float, float]:

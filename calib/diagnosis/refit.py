@@ -74,6 +74,8 @@ def stated_errors(rows: Observations) -> tuple[Observations, Added]:
     added = Added.none(len(rows))
     if rows.shared_names:
         added += Added(rows.shared, np.ones(len(rows.shared_names)))
+    if rows.alone_names:
+        added += Added(rows.alone, np.ones(len(rows.alone_names)))
     if not rows.has_groups:
         return rows, added
     label = np.unique(rows.z_group, return_inverse=True)[1]
@@ -259,19 +261,13 @@ class _Steps:
     ) -> tuple[Refit, Linear] | None:
         model, priors = self.setting.model, self.setting.priors
         p, k = len(model.free), len(self.added)
-        known = prior_of(model, priors) + measured_of(model, priors)
+        own, measured = prior_of(model, priors), measured_of(model, priors)
+        known = own + measured
         precision = np.zeros((p + k, p + k))
         precision[:p, :p] = known.precision
         precision[np.arange(p, p + k), np.arange(p, p + k)] = self.added.prior_std**-2.0
         shift = np.append(known.shift, np.zeros(k))
-        problem = Problem(
-            self.setting.rows,
-            model,
-            prior_of(model, priors),
-            measured_of(model, priors),
-            priors.noise_scale,
-            ROBUST,
-        )
+        problem = Problem(self.setting.rows, model, own, measured, priors.noise_scale, ROBUST)
         x = np.append(theta[list(model.indices)], np.zeros(k))
         if start is not None:
             x[p : p + self.own] = start

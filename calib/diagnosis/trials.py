@@ -165,7 +165,8 @@ def backlash(seen: Looked) -> tuple[Trial, ...]:
     """Let readings differ by the side of approach: as stated, by the last reading, or unknown."""
     session = seen.session
     if len(session.approach):
-        return (Loaded(on_column(OBSERVABLE.alpha2, session.approach[:, None] / 2)),)
+        # Of a rig that comes to rest upwards, as it should from now on.
+        return (Loaded(on_column(OBSERVABLE.alpha2, (session.approach[:, None] - 1) / 2)),)
     order = session.in_order
     moved = np.sign(np.diff(seen.rows.alpha2_rad[order]))
     side = np.zeros(len(session))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from calib.diagnosis.engine import Diagnosis
+from calib.diagnosis.engine import Attempt, Diagnosis
 
 
 def diagnosis_document(found: Diagnosis) -> list[dict[str, Any]]:
@@ -27,3 +27,15 @@ def diagnosis_document(found: Diagnosis) -> list[dict[str, Any]]:
         }
         for cause in found.causes
     ]
+
+
+def correction_document(cause: Attempt) -> dict[str, Any]:
+    """Return a cause that was accepted, with its estimate."""
+    return {
+        "cause": cause.name,
+        "at": cause.at,
+        "estimate": cause.estimate,
+        "std": cause.std,
+        "unit": cause.hypothesis.unit,
+        "text": cause.text,
+    }

@@ -319,6 +319,17 @@ class CausePart(Part):
     told_apart_by: str
 
 
+class CorrectionPart(Part):
+    """A cause that the manifest accepts: the rows are corrected by its estimate."""
+
+    cause: str
+    at: str | None = None
+    estimate: float | None = None
+    std: float | None = None
+    unit: str
+    text: str
+
+
 class GatePart(Part):
     """A check of the result."""
 
@@ -357,6 +368,7 @@ class Document(Part):
     validation: list[ValidationRow] | None = None
     validation_summary: dict[str, dict[str, float]] | None = None
     diagnosis: list[CausePart] | None = Field(None, description="best first")
+    corrections: list[CorrectionPart] | None = None
     not_fitted: dict[str, str] | None = None
     gates: list[GatePart]
     warnings: list[str]

@@ -36,8 +36,13 @@ def fitted(
     if not folder.exists():
         faults = {} if fault is None else {fault: value}
         simulate_dataset(folder, SimulationOptions(faults=faults, **settings))
+    return fitted_folder(folder, settings["model"])
+
+
+def fitted_folder(folder: Path, model: str) -> tuple[Observations, Priors, RobustFit, Any]:
+    """Return rows, priors, robust fit and dataset of a folder."""
     dataset = load_dataset(folder)
     assert dataset.gaze is not None
     rows = observe_gazes(dataset.gaze, Setup(row_settings(dataset)), None)
     priors = Priors(row_priors(dataset))
-    return rows, priors, fit_model(rows, priors, model=settings["model"]), dataset
+    return rows, priors, fit_model(rows, priors, model=model), dataset

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from faulty_rigs import fitted, tried_on
 
 from calib.diagnosis.engine import Tried
 from calib.diagnosis.hypotheses import HYPOTHESES
@@ -18,7 +19,6 @@ from calib.diagnosis.session import RowHistory, row_history
 from calib.mirror.problem import Mirror
 from calib.rows.common_errors import Shared
 from calib.simulate.faults import FAULTS
-from faulty_rigs import fitted, tried_on
 
 NAMED = (
     "range-not-depth",

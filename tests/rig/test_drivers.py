@@ -6,6 +6,9 @@ crosses to the drivers. The loop over both is in `test_real_loop`.
 
 import json
 import math
+import signal
+import subprocess
+import sys
 import threading
 import time
 from pathlib import Path
@@ -403,3 +406,23 @@ def test_drivers_are_found_by_name():
     assert camera_driver("gige", where="w") is gige.open_camera
     assert camera_driver("video", where="w") is video_driver.open_camera
     assert axis_driver("ximc", where="w") is ximc_driver.open_axis
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_stops_the_motor_before_anything_else(number, tmp_path):
+    script = Path(__file__).parent / "signalled.py"
+    with subprocess.Popen(
+        [sys.executable, str(script), f"xi-emu://{tmp_path}/yaw.bin"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+    ) as program:
+        assert program.stdout.readline() == "moving\n"
+        program.send_signal(number)
+        said = program.stdout.read().split("\n")
+    assert program.returncode != 0
+    assert said[0] == "stop"
+    assert "KeyboardInterrupt" in said
+    rests = next(float(line.split()[1]) for line in said if line.startswith("rests"))
+    assert 90 < rests < 134
+    assert said.index("stop") < said.index("files")

@@ -8,6 +8,7 @@ from datetime import UTC, datetime
 from calib.core.gate import Gate
 from calib.uncertainty.evidence import Evidence
 from calib.uncertainty.measurement import Instrument
+from calib.uncertainty.montecarlo import Interval
 
 PREFIX = "AG"
 """Identifiers start with it: active gazing."""
@@ -100,13 +101,24 @@ class Provenance:
 
 @dataclass(frozen=True)
 class Derived:
-    """A quantity that follows from the parameters: name, meaning, value and u in `unit`."""
+    """A quantity that follows from the parameters.
+
+    Parameters
+    ----------
+    name, meaning, unit
+        As printed.
+    value, std
+        With its standard uncertainty, in `unit`.
+    interval
+        Its 95 % interval, in `unit`; None where there are no draws of the parameters.
+    """
 
     name: str
     meaning: str
     unit: str
     value: float
     std: float
+    interval: Interval | None = None
 
 
 @dataclass(frozen=True)

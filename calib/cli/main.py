@@ -22,6 +22,7 @@ from calib.cli import (
     history,
     measure,
     plan,
+    rig,
     schema,
     simulate,
     study,
@@ -73,6 +74,10 @@ GROUPS: tuple[tuple[str, tuple[Command, ...]], ...] = (
             Command("compare", compare, "runs of one rig side by side: what has changed"),
             Command("history", history, "many rigs over years: charts and due dates"),
         ),
+    ),
+    (
+        "the rig itself",
+        (Command("rig", rig, "is the rig fit to be calibrated and measured with?"),),
     ),
     (
         "simulate",

@@ -20,8 +20,17 @@ from calib.dataset.contents import Dataset
 from calib.dataset.corner_cache import read_cache
 from calib.dataset.doubts import doubts
 from calib.dataset.faults import MANIFEST, MANIFEST_LIMIT_BYTES, parse_manifest
-from calib.dataset.folder import TABLE_LIMIT_BYTES, Folder, by_star, decode, matches, path_fault
+from calib.dataset.folder import (
+    TABLE_LIMIT_BYTES,
+    Folder,
+    by_star,
+    decode,
+    fingerprint,
+    matches,
+    path_fault,
+)
 from calib.dataset.messages import shortened, shown, text_fault
+from calib.dataset.pictures import missing_sizes, picture_faults, with_sizes
 from calib.dataset.readers import Scanned, scan_gaze, scan_lengths, scan_sweep
 from calib.geometry.board import Board
 from calib.geometry.camera import Camera
@@ -49,8 +58,13 @@ def load_dataset(root: Path, *, rows_to_come: bool = False) -> Dataset:
     dataset = loading.dataset()
     if dataset is None or loading.problems:
         raise InputError(loading.problems)
-    sha256 = loading.folder.fingerprint(loading.contents, loading.images)
-    return replace(dataset, sha256=sha256, warnings=(*loading.warnings, *doubts(dataset)))
+    digests = loading.folder.digests(loading.contents, loading.images)
+    return replace(
+        dataset,
+        sha256=fingerprint(digests),
+        image_sha256={name: digests[name] for name in sorted(loading.images)},
+        warnings=(*loading.warnings, *doubts(dataset)),
+    )
 
 
 def check_dataset(root: Path) -> tuple[Problem, ...]:
@@ -126,8 +140,12 @@ class _Loading:
             cameras=self._cameras(manifest),
             corner_cache=cache,
             warnings=(),
+            image_sha256={},
         )
         self._require_images(dataset)
+        self.problems += picture_faults(dataset, self.folder.root, self.images)
+        dataset = with_sizes(dataset, self.folder.root, self.images)
+        self.problems += missing_sizes(dataset)
         self.problems += faults(dataset, rows_to_come=self.rows_to_come)
         return dataset
 

@@ -165,7 +165,7 @@ class Camera(Section):
                 f"exactly one of images, model and matrix is needed, {what}",
                 "keep the one the intrinsics are to come from",
             )
-        if self.image_size is None and self.model is None:
+        if self.image_size is None and self.matrix is not None:
             refuse("image_size is missing", "add image_size = [width, height] in pixels")
         return self
 

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from dataset_examples import GAZE, MANIFEST, replaced, write_dataset
+from dataset_examples import GAZE, MANIFEST, PNG, replaced, write_dataset
 
 from calib.core.errors import InputError
 from calib.dataset.faults import parse_manifest
@@ -25,7 +25,6 @@ from calib.dataset.load import check_dataset, load_dataset
 from calib.dataset.manifest import Manifest
 from calib.dataset.readers import read_gaze, read_lengths, read_measurements, read_sweep
 
-PNG = b"\x89PNG, only looked at by the detector"
 GIVEN_CAMERA = MANIFEST[MANIFEST.index("[cameras.c1]") : MANIFEST.index("[encoder]")]
 
 IMAGE_MANIFEST = (

@@ -320,9 +320,9 @@ def test_an_unknown_target_is_refused():
 
 
 def test_a_key_that_virtual_devices_do_not_have_is_named():
-    with pytest.raises(InputError, match=r"\[axis\] overshot_steps: is no key .*did you mean"):
-        with virtual_rig(axis={"overshot_steps": 3}):
-            pass
-    with pytest.raises(InputError, match=r"\[cameras.c1\] exposure_us: is no key"):
-        with virtual_rig(cameras={"exposure_us": 3}):
-            pass
+    unknown = r"\[axis\] overshot_steps: is no key .*did you mean"
+    with pytest.raises(InputError, match=unknown), virtual_rig(axis={"overshot_steps": 3}):
+        pass
+    unknown = r"\[cameras.c1\] exposure_us: is no key"
+    with pytest.raises(InputError, match=unknown), virtual_rig(cameras={"exposure_us": 3}):
+        pass

@@ -323,6 +323,7 @@ class Certificate(Section):
     """What the certificate prints; "not stated" where it is silent.
 
     `replaces` is the identifier of the certificate that this one amends, `amendment` the reason.
+    `next_calibration` is for a customer who has asked for a date (ISO/IEC 17025:2017, 7.8.4.3).
     """
 
     laboratory: Line | None = None
@@ -342,6 +343,7 @@ class Certificate(Section):
     country: Country | None = None
     replaces: Line | None = None
     amendment: Prose | None = None
+    next_calibration: Day | None = None
     tolerance: Tolerance | None = None
     decision_rule: Literal["simple", "guard-band"] = "simple"
 

@@ -40,6 +40,8 @@ class Administration:
         Two capitals, ISO 3166-1, for the DCC.
     replaces, amendment
         Identifier of the certificate this one replaces, and why.
+    next_calibration
+        Recommended date (ISO 8601), only where the customer has asked for one.
     """
 
     laboratory: str | None = None
@@ -59,6 +61,7 @@ class Administration:
     country: str | None = None
     replaces: str | None = None
     amendment: str | None = None
+    next_calibration: str | None = None
 
 
 @dataclass(frozen=True)

@@ -21,6 +21,8 @@ NO_ACCREDITATION = (
     "No accreditation is claimed: the certificate follows ISO/IEC 17025:2017, 7.8.2 and 7.8.4, in "
     "its fields, and was issued by a computer program from the data named in it."
 )
+NEXT_CALIBRATION = "Next calibration, recommended at the customer's request"
+
 STABILITY = (
     "The results hold for the state of the item on the date of calibration. Nothing is said of its "
     "long-term stability."

@@ -234,6 +234,13 @@ def test_an_amendment_names_what_it_replaces() -> None:
     assert build_certificate(example.inputs()).replaces is None
 
 
+def test_the_next_calibration_is_dated_only_if_asked_for() -> None:
+    stated = replace(example.STATED, next_calibration="2027-03-01")
+    data = build_certificate(example.inputs(administration=stated))
+    assert ("2027-03-01", True) in [(s.value, s.label.startswith("Next")) for s in data.statements]
+    assert not any("Next" in s.label for s in build_certificate(example.inputs()).statements)
+
+
 def test_shares_of_the_printed_budget_add_up() -> None:
     data = build_certificate(example.inputs())
     budgets = data.annexes[0].tables[1:]

@@ -60,8 +60,8 @@ class Intrinsics:
     selected
         The fit to use.
     covariance
-        Of its fx, fy, cx, cy and distortion, px and 1, shape (4 + k, 4 + k): that of the fit times
-        `dispersion`.
+        Of its fx, fy, cx, cy and distortion, px and 1, shape (4 + k, 4 + k), enlarged by
+        `dispersion`, as that of each fit is by its own.
     dispersion
         Variance of the estimate as the views show it over that which independent corner noise
         explains; below 1 as far as they prove it.
@@ -87,6 +87,9 @@ class Intrinsics:
         None without mrcal.
     gates, warnings
         What must hold, and what else the reader should know.
+    purposes
+        Images by what they were taken for ("lens", "pair", "row") where a joint solve refined the
+        estimate; empty where the camera's own pictures gave it.
     """
 
     name: str
@@ -106,6 +109,7 @@ class Intrinsics:
     mrcal_version: str | None
     gates: tuple[Gate, ...]
     warnings: tuple[str, ...]
+    purposes: Mapping[str, int]
 
     @property
     def camera(self) -> Camera:
@@ -140,7 +144,14 @@ def calibrate_intrinsics(corners: Corners, board: Board, *, camera: str, seed: i
         with steady_opencv():
             backends = _solve(corners, board, seed)
             validation = cross_validate(corners, board, backends.checked, points=backends.points)
-            return _assemble(corners, backends, validation, camera=camera, repeated=repeated)
+            return _assemble(
+                corners,
+                backends,
+                validation,
+                camera=camera,
+                repeated=repeated,
+                drawn=board.object_points(),
+            )
     except EstimationError as error:
         raise EstimationError(_diagnosis(corners, board, camera, error)) from error
 
@@ -267,8 +278,9 @@ def _assemble(
     *,
     camera: str,
     repeated: tuple[str, ...],
+    drawn: FloatArray,
 ) -> Intrinsics:
-    """Select a fit and judge it."""
+    """Select a fit and judge it; `drawn` is the flat board, mm, shape (corners, 3)."""
     lens, mrcal = validation.chosen, backends.mrcal
     selected = mrcal.fits.get(lens, backends.checked[lens])
     points = backends.points[lens]
@@ -284,10 +296,10 @@ def _assemble(
     gates = intrinsics_gates(camera, enlarged, coverage, validation, agreement=agreement)
     return Intrinsics(
         name=camera,
-        selected=selected,
+        selected=enlarged,
         covariance=enlarged.covariance,
         dispersion=dispersion,
-        alternatives=tuple(fit for fit in backends.all if fit is not selected),
+        alternatives=tuple(_enlarged(fit, drawn) for fit in backends.all if fit is not selected),
         selection=_selection(selected, validation, backends),
         images=corners.images,
         rejected_views=tuple(corners.images[i] for i in np.flatnonzero(unused)),
@@ -304,7 +316,21 @@ def _assemble(
             *_backend_warnings(camera, mrcal),
             *intrinsics_warnings(camera, gates, dispersion=dispersion, splined=splined),
         ),
+        purposes={},
     )
+
+
+def _enlarged(fit: LensFit, drawn: FloatArray) -> LensFit:
+    """Return a fit with the covariance that its views bear out.
+
+    Parameters
+    ----------
+    drawn
+        Corners of the flat board, mm, shape (corners, 3).
+    """
+    points = deformed(drawn, fit.board_warp_mm)
+    factor = view_scores(fit.camera, fit.poses, fit.residuals, points).dispersion()
+    return replace(fit, covariance=fit.covariance * factor)
 
 
 def _differences(

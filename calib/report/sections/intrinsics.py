@@ -46,7 +46,8 @@ def intrinsics(c: Calibration, _: ReportContext) -> Section | None:
             "Each camera was calibrated from its pictures of the board by OpenCV and by mrcal, "
             "each with several lens models. The lens model is the simplest that no larger one "
             "beats in predicting views that were left out; rms is the root mean square residual "
-            "per coordinate, the same for all."
+            "per coordinate, the same for all. Where there are stereo pairs, a joint solve of "
+            "both lenses, the pairs and the boards of the gaze rows then refines lens and pose."
         )
     ]
     for name, found in sorted(c.images.intrinsics.items()):
@@ -122,7 +123,7 @@ def _fits(i: Intrinsics) -> Table:
         f"Fits of {i.name.upper()}, ± standard uncertainty",
         heads,
         rows,
-        note="That of the selected fit is multiplied by the factor "
+        note="Each is multiplied by a factor, that of the selected fit by "
         f"{significant(i.dispersion**0.5)}: how far the views disagree with each other, over what "
         "the noise of their corners explains. Bow: at the middle, along the board's columns and "
         "rows.",

@@ -110,7 +110,7 @@ def test_covariance_is_mrcals_own(exact: scenes.Pairs) -> None:
     rng = np.random.default_rng(2)
     start = start_pairs(noisy(rng, exact), scenes.BOARD, cameras=KNOWN.cameras)
     ours = solve_mrcal(start, scenes.BOARD, KNOWN, seed=0)
-    held = mrcal_process.Held(
+    held = mrcal_process.Start(
         np.stack([intrinsic_vector(c) for c in KNOWN.cameras]),
         invert_pose(start.pose_12, np.zeros((6, 6)))[0][None],
         start.poses,

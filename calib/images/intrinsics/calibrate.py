@@ -36,6 +36,7 @@ from calib.images.intrinsics.maps import (
     nodes,
     rays_of,
 )
+from calib.images.intrinsics.remarks import backend_warnings, better, picture_warnings
 from calib.images.intrinsics.validate import CrossValidation, cross_validate
 from calib.images.mrcal.solves import MIN_CORNERS, focal_start
 from calib.images.opencv import steady_opencv
@@ -189,7 +190,7 @@ def _solve(corners: Corners, board: Board, seed: int) -> _Backends:
     used = np.any([_views_of(fit) for fit in flat.values()], axis=0)
     unused = seen(corners.pixels) & ~used[:, None]
     kept = replace(corners, pixels=np.where(unused[..., None], np.nan, corners.pixels))
-    mrcal = fit_mrcal(kept, board, lenses=LENSES, seed=seed, grid=GRID)
+    mrcal = fit_mrcal(kept, board, lenses=LENSES, seed=seed, grid=GRID, others=flat)
     mrcal = replace(
         mrcal,
         fits={
@@ -282,7 +283,7 @@ def _assemble(
 ) -> Intrinsics:
     """Select a fit and judge it; `drawn` is the flat board, mm, shape (corners, 3)."""
     lens, mrcal = validation.chosen, backends.mrcal
-    selected = mrcal.fits.get(lens, backends.checked[lens])
+    selected, worse = better(mrcal.fits.get(lens), backends.checked[lens])
     points = backends.points[lens]
     scores = view_scores(selected.camera, selected.poses, selected.residuals, points)
     dispersion = scores.dispersion()
@@ -293,7 +294,13 @@ def _assemble(
     agreement, splined, others = _differences(enlarged, selected, backends, lens, at)
     unused = seen(corners.pixels).any(axis=-1) & ~_views_of(selected)
     inconsistent = _inconsistent_views(corners, selected)
-    gates = intrinsics_gates(camera, enlarged, coverage, validation, agreement=agreement)
+    drawn_fit = backends.flat.get(lens)
+    flat = (
+        compare(enlarged, rays_of(drawn_fit, at), at)
+        if drawn_fit is not None and agreement is not None
+        else None
+    )
+    gates = intrinsics_gates(camera, enlarged, coverage, validation, agreement=agreement, flat=flat)
     return Intrinsics(
         name=camera,
         selected=enlarged,
@@ -312,8 +319,9 @@ def _assemble(
         mrcal_version=None if mrcal.missing else mrcal.version,
         gates=gates,
         warnings=(
-            *_picture_warnings(camera, corners, repeated, inconsistent),
-            *_backend_warnings(camera, mrcal),
+            *picture_warnings(camera, corners, repeated, inconsistent),
+            *backend_warnings(camera, mrcal),
+            *([f"{camera}: {worse}"] if worse else []),
             *intrinsics_warnings(camera, gates, dispersion=dispersion, splined=splined),
         ),
         purposes={},
@@ -358,7 +366,7 @@ def _selection(selected: LensFit, validation: CrossValidation, backends: _Backen
     if selected.backend == "mrcal":
         backend = "mrcal, which solves the deformation of the board too"
     else:
-        backend = "OpenCV, " + ("alone here" if mrcal.missing else "as mrcal found no solution")
+        backend = "OpenCV, " + ("alone here" if mrcal.missing else "as mrcal found none so good")
     return "; ".join([validation.reason, *backends.failed, f"by {backend}"])
 
 
@@ -367,34 +375,3 @@ def _inconsistent_views(corners: Corners, selected: LensFit) -> tuple[str, ...]:
     found = seen(corners.pixels).sum(axis=-1)
     kept = seen(selected.residuals).sum(axis=-1)
     return tuple(corners.images[i] for i in np.flatnonzero(2 * kept < found))
-
-
-def _picture_warnings(
-    camera: str, corners: Corners, repeated: tuple[str, ...], inconsistent: tuple[str, ...]
-) -> tuple[str, ...]:
-    """Say what became of pictures that are not used."""
-    warnings = []
-    missed = [
-        name for name, who in zip(corners.images, corners.detector, strict=True) if who == "none"
-    ]
-    if missed:
-        warnings.append(
-            f"{camera}: no board found in {len(missed)} of {len(corners.images)} intrinsic images "
-            f"({', '.join(missed)})"
-        )
-    if repeated:
-        warnings.append(f"{camera}: repeats of other images are not used: {', '.join(repeated)}")
-    if inconsistent:
-        warnings.append(
-            f"{camera}: most corners of {', '.join(inconsistent)} contradict the other images "
-            "and were left out: look whether such a picture is turned, scaled, or taken with "
-            "another focus or camera"
-        )
-    return tuple(warnings)
-
-
-def _backend_warnings(camera: str, mrcal: MrcalFits) -> tuple[str, ...]:
-    """Say which solves are missing."""
-    if mrcal.missing:
-        return (f"{camera}: {mrcal.missing}",)
-    return tuple(f"{camera}: mrcal, {lens}: {why}" for lens, why in mrcal.failed.items())

@@ -42,6 +42,17 @@ all over the picture scatter by 0.4."""
 AGREEMENT_MAX = 1.0
 """Backends see the same corners, so they must agree within what each says it does not know."""
 
+AGREEMENT_MAX_PX = 1.0
+"""And within this over the covered imager, whatever they say: a solve that failed knows nothing and
+says so."""
+
+FLAT_MAX_PX = 2.0
+"""By this at most may OpenCV on the board as drawn differ: a bow of 0.5 mm of a board of 300 mm
+makes 1 px of a lens of 800 px."""
+
+WORSE = 1.1
+"""Ratio of rms by which the fit of record may be worse than another one of the same corners."""
+
 DISPERSION_WARN = 2.0
 """Variance between views over that of corner noise: twenty views of pure noise give 1.0 +- 0.2."""
 
@@ -89,6 +100,7 @@ def intrinsics_gates(
     validation: CrossValidation,
     *,
     agreement: LensDifference | None,
+    flat: LensDifference | None = None,
 ) -> tuple[Gate, ...]:
     """Return the gates on the intrinsics of one camera.
 
@@ -99,7 +111,9 @@ def intrinsics_gates(
     fit
         The one selected, its covariance enlarged by the dispersion.
     agreement
-        Difference to the other backend, where there is one.
+        Difference to the other backend on the same board, where there is one.
+    flat
+        Difference to OpenCV on the board as drawn.
     """
     gates = [
         _coverage_gate(name, coverage, fit.poses),
@@ -117,15 +131,23 @@ def intrinsics_gates(
         gates.append(
             gate(
                 f"{name}-backends",
-                agreement.ratio <= AGREEMENT_MAX,
+                agreement.ratio <= AGREEMENT_MAX
+                and agreement.rms_px <= AGREEMENT_MAX_PX
+                and (flat is None or flat.rms_px <= FLAT_MAX_PX),
                 f"{agreement.first} and {agreement.second} differ by {agreement.rms_px:.3f} px rms "
-                f"over the covered imager, {agreement.ratio:.2f} of their stated uncertainty (at "
-                f"most {AGREEMENT_MAX:g})",
+                f"over the covered imager (at most {AGREEMENT_MAX_PX:g}), {agreement.ratio:.2f} of "
+                f"their stated uncertainty (at most {AGREEMENT_MAX:g})" + _flat_words(flat),
                 remedy="compare the difference map with the coverage and add pictures where it is "
-                "large",
+                "large; a board that is not flat needs a stiffer one",
             )
         )
     return tuple(gates)
+
+
+def _flat_words(flat: LensDifference | None) -> str:
+    if flat is None:
+        return ""
+    return f"; OpenCV on the board as drawn by {flat.rms_px:.3f} px (at most {FLAT_MAX_PX:g})"
 
 
 def _coverage_gate(name: str, coverage: Coverage, poses: FloatArray) -> Gate:

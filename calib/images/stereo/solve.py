@@ -187,7 +187,7 @@ def solve_mrcal(start: PairStart, board: Board, rig: CameraPair, *, seed: int) -
         vector = intrinsic_vector(camera)
         row[: len(vector)] = vector
     pose_21 = invert_pose(start.pose_12, np.zeros((6, 6)))[0]
-    held = solves.Held(intrinsics, pose_21[None], start.poses)
+    held = solves.Start(intrinsics, pose_21[None], start.poses)
     solution = solves.solve(
         _as_corners(start, rig.cameras),
         board,

@@ -33,6 +33,9 @@ from calib.report.plotting import picture
 from calib.results.calibration import Calibration
 from calib.uncertainty.format import fixed, significant
 
+FOLDED_RMS_PX = 1e4
+"""Beyond the size of pictures, the figures of an rms say no more."""
+
 DIFFERENCES_DRAWN = 2
 """The first ones: the other backend, and the splined lens model."""
 
@@ -130,6 +133,11 @@ def _fits(i: Intrinsics) -> Table:
     )
 
 
+def _rms(value: float) -> Cell:
+    """Return an rms; of a lens that folds back inside the picture it has no bounds."""
+    return decimals(value, 3) if value < FOLDED_RMS_PX else words(f"over {FOLDED_RMS_PX:g}")
+
+
 def _short(name: str) -> str:
     """Return the name of a fit without mrcal's prefix."""
     return name.replace("LENSMODEL_", "")
@@ -186,8 +194,8 @@ def _validation(i: Intrinsics) -> Table:
     rows = [
         (
             words(f"{lens} (chosen)" if lens == v.chosen else lens),
-            decimals(float(out), 3),
-            decimals(float(fitted), 3),
+            _rms(float(out)),
+            _rms(float(fitted)),
         )
         for lens, out, fitted in zip(v.lenses, v.rms_px, v.fitted_rms_px, strict=True)
     ]

@@ -9,9 +9,10 @@ venv=.venv
 say() { printf 'setup: %s\n' "$*" >&2; }
 fail() { say "$*"; exit 2; }
 
-# mrcal (second intrinsics backend), Pango (PDF certificate), fonts; the tests also open pages in a browser.
+# mrcal (second intrinsics backend), Pango (PDF certificate), fonts; the tests also open pages in a
+# browser and serve cameras on loopback addresses of their own (Aravis, iproute2).
 packages=(python3-venv python3-mrcal libpango-1.0-0 libpangoft2-1.0-0 libharfbuzz-subset0 fonts-dejavu-core)
-[ "$level" = dev ] && packages+=(chromium poppler-utils git)
+[ "$level" = dev ] && packages+=(chromium poppler-utils git libaravis-0.8-0 iproute2)
 
 installed() { dpkg-query -W -f='${db:Status-Status}' "$1" 2>/dev/null | grep -qx installed; }
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
+from scipy.stats import chi2
 
 from calib.core.arrays import FloatArray
 from calib.core.gate import Gate
@@ -13,6 +14,7 @@ from calib.fit.group_check import GroupCheck
 from calib.fit.identifiability import Identifiability
 from calib.fit.posterior import Posterior
 from calib.fit.priors import NOISE_SCALE
+from calib.fit.robust import RobustFit
 from calib.geometry.parameters import INDEX, PARAMETERS
 from calib.images.result import ImageResult
 from calib.instrument.averaging import doubt_of
@@ -26,6 +28,10 @@ statement, a row or the model is wrong."""
 NOISE_SCALE_REMARK = 2.0
 """Also the limit where the rows are too few for any model but the smallest: nothing then tells
 uncertainties stated too small from an axis that stands off."""
+
+TOO_CAREFUL, TOO_CAREFUL_CHANCE = 0.5, 1e-4
+"""Residuals smaller than this part of what is stated are remarked on, where chance makes them so
+small no more often than that."""
 
 ZERO_ERROR_REMARK_RAD = float(np.deg2rad(5.0))
 """An axis set by eye is right to a degree or two. Readings in gon look like a zero error of 9."""
@@ -230,6 +236,7 @@ def gaze_warnings(gaze: GazeResult) -> tuple[str, ...]:
                 f"uncertainties lead to expect; all uncertainties are widened accordingly "
                 f"({NOISE_SCALE})"
             )
+        found += _too_careful(fit)
         zero = float(fit.theta[INDEX["delta2_rad"]])
         if abs(zero) > ZERO_ERROR_REMARK_RAD:
             found.append(
@@ -261,6 +268,20 @@ def gaze_warnings(gaze: GazeResult) -> tuple[str, ...]:
             f"base/convex is not proved optimal: duality gap {gaze.convex.duality_gap:.1e}"
         )
     return tuple(found)
+
+
+def _too_careful(fit: RobustFit) -> list[str]:
+    """Return a warning where residuals are far smaller than the stated uncertainties."""
+    kept = fit.standardised[~fit.rejected]
+    freedom = len(kept) - fit.data_parameters
+    ratio = float(np.sqrt(kept @ kept / max(freedom, 1.0)))
+    if freedom < 1 or ratio > TOO_CAREFUL or chi2.cdf(kept @ kept, freedom) > TOO_CAREFUL_CHANCE:
+        return []
+    return [
+        f"residuals of {fit.model} are only {ratio:.2g} times what the stated uncertainties lead "
+        "to expect: if u_x1c, u_z_rel, u_z_mm or resolution_deg are too large (per cent for "
+        "parts, tolerances for standard uncertainties), depths are more certain than stated"
+    ]
 
 
 def _named_outliers(gaze: GazeResult, model: str) -> list[str]:

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from types import ModuleType
 
 from calib.cli import (
+    batch,
     calibrate,
     check,
     compare,
@@ -21,6 +22,7 @@ from calib.cli import (
     history,
     measure,
     plan,
+    rig,
     schema,
     simulate,
     study,
@@ -52,6 +54,7 @@ GROUPS: tuple[tuple[str, tuple[Command, ...]], ...] = (
         "calibrate",
         (
             Command("calibrate", calibrate, "run the whole chain on a dataset"),
+            Command("batch", batch, "calibrate many datasets, with one summary"),
             Command("check", check, "list every problem of a dataset; writes nothing"),
             Command("verify", verify, "are the files of a run whole and untouched?"),
             Command("schema", schema, "JSON Schema of dataset.toml or calibration.json"),
@@ -71,6 +74,10 @@ GROUPS: tuple[tuple[str, tuple[Command, ...]], ...] = (
             Command("compare", compare, "runs of one rig side by side: what has changed"),
             Command("history", history, "many rigs over years: charts and due dates"),
         ),
+    ),
+    (
+        "the rig itself",
+        (Command("rig", rig, "is the rig fit to be calibrated and measured with?"),),
     ),
     (
         "simulate",

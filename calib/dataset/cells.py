@@ -228,6 +228,13 @@ def check_header(
 
 def _refuse_no_header(header: list[str], place: str, known: Sequence[str]) -> None:
     """Raise if the first line is no header in cells separated by commas."""
+    if header[0].lower().startswith("sep="):
+        comma = header[1:] == [""]
+        raise InputError.single(
+            where=place,
+            what=f"{shown(header[0] + ',' * comma)} is a line for spreadsheets, no header",
+            remedy="delete it" if comma else f"delete it, and {_SAVE}",
+        )
     if len(header) == 1 and (found := re.search(r"[;\t|]", header[0])):
         name = {";": "semicolons", "\t": "tabs", "|": "bars"}[found[0]]
         raise InputError.single(

@@ -13,8 +13,7 @@ from calib.dataset.cells import NAMED_ROWS
 from calib.dataset.contents import Dataset
 from calib.dataset.depth_origin import ahead_of_c1
 from calib.dataset.faults import MANIFEST
-from calib.dataset.lens_slips import lens_doubts
-from calib.dataset.manifest import CAMERAS, Gaze, Validation
+from calib.dataset.manifest import CAMERAS
 from calib.dataset.messages import nearest, row_place, shown
 from calib.dataset.tables import GazeTable, LengthTable
 from calib.geometry.parameters import MODELS
@@ -26,13 +25,6 @@ SPARE_ROWS = 3
 """Gaze rows beyond the number of free parameters, which tell how well the model fits."""
 
 MIN_ROWS = SPARE_ROWS + min(len(model.free) for model in MODELS.values())
-
-CENTRE_SHARE = 0.2
-"""Part of the image size by which a principal point may lie off the centre without remark; lenses
-are mounted within a few per cent, so more means a matrix of images of another size."""
-
-DEPTH_SPREAD = 0.01
-"""Relative spread of depths below which targets stand at one depth."""
 
 
 def faults(dataset: Dataset, *, rows_to_come: bool = False) -> Iterator[Problem]:
@@ -53,49 +45,6 @@ def faults(dataset: Dataset, *, rows_to_come: bool = False) -> Iterator[Problem]
     yield from _unknown_pairs(dataset)
     yield from _unknown_ends(dataset)
     yield from _pixels_outside(dataset)
-
-
-def doubts(dataset: Dataset) -> Iterator[str]:
-    """Yield what is no fault but may be a slip, a line each."""
-    for name, camera in dataset.cameras.items():
-        centre = camera.matrix[:2, 2]
-        off = np.abs(centre - (np.array(camera.image_size) - 1) / 2) / camera.image_size
-        if off.max() > CENTRE_SHARE:
-            yield (
-                f"[cameras.{name}]: the principal point ({centre[0]:g}, {centre[1]:g}) is far from "
-                f"the centre of a {camera.image_size[0]} x {camera.image_size[1]} image: do "
-                "matrix and image_size belong to images of one size?"
-            )
-        yield from (f"[cameras.{name}]: {doubt}" for doubt in lens_doubts(camera.distortion))
-    if dataset.gaze is not None:
-        yield from _gaze_doubts(dataset, dataset.gaze)
-
-
-def _gaze_doubts(dataset: Dataset, gaze: GazeTable) -> Iterator[str]:
-    stated = dataset.manifest.gaze
-    by_image = all(image is not None for image in gaze.image_c1)
-    if stated is not None and "u_x1c" not in stated.model_fields_set and not by_image:
-        yield f"[gaze] states no u_x1c: {stated.u_x1c:g} is assumed (0.1 px at f = 500 px)"
-    known = gaze.z_mm[~np.isnan(gaze.z_mm)]
-    if len(known) and stated is not None and stated.origin is None:
-        yield (
-            "[gaze] does not say from where z_mm counts: that is found from the rows, and depths "
-            "from C1's optical centre are less certain for it. Measure it and state z_from, for "
-            "example { ahead_of_c1_mm = 35.0, u_mm = 2.0 } for the front of a lens, or "
-            'z_from = "c1" for depths that a camera calibration gave'
-        )
-    silent = ~np.isnan(gaze.z_mm) & np.isnan(gaze.u_z_mm)
-    if stated is not None and silent.any() and not any(_stated_depth(stated)):
-        yield (
-            f"{gaze.file} and [gaze] state no uncertainty of z_mm: the reference depths of "
-            f"{silent.sum()} rows are taken as exact"
-        )
-    if len(known) == len(gaze) and np.ptp(known) < DEPTH_SPREAD * known.min():
-        yield (
-            f"{gaze.file}: all targets stand at nearly the same depth, {known.min():g} to "
-            f"{known.max():g} mm: baseline and zero error can hardly be distinguished; add targets "
-            "nearer and farther"
-        )
 
 
 def _other_side(dataset: Dataset) -> Iterator[Problem]:
@@ -259,11 +208,6 @@ def _too_few_rows(dataset: Dataset) -> Iterator[Problem]:
             what=f"has {len(gaze)} row{'s' * (len(gaze) > 1)}; the smallest model needs {MIN_ROWS}",
             remedy="add gazes at other depths and places",
         )
-
-
-def _stated_depth(section: Gaze | Validation) -> tuple[float, ...]:
-    """Return all that a section states of the uncertainty of z."""
-    return section.u_z_mm, section.u_z_rel, section.u_z_group_mm, section.u_z_group_rel
 
 
 def _missing_groups(dataset: Dataset) -> Iterator[Problem]:

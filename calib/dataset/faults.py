@@ -51,14 +51,15 @@ class Parsed:
         Relative names of the tables by section, as far as they can be read in spite of problems.
     problems
         All faults of the manifest taken alone.
-    is_left
-        Whether C2 stands at -X of C1, in spite of problems elsewhere.
+    is_left, step_deg
+        Whether C2 stands at -X of C1, and one count of the encoder, in spite of problems elsewhere.
     """
 
     manifest: Manifest | None
     tables: Mapping[str, str]
     problems: tuple[Problem, ...]
     is_left: bool = False
+    step_deg: float | None = None
 
 
 def parse_manifest(data: bytes) -> Parsed:
@@ -75,14 +76,17 @@ def parse_manifest(data: bytes) -> Parsed:
     }
     rig = raw.get("rig")
     is_left = isinstance(rig, dict) and rig.get("c2") == "left"
+    encoder = raw.get("encoder")
+    step = encoder.get("resolution_deg") if isinstance(encoder, dict) else None
+    step_deg = step if isinstance(step, float) and 0 < step < 180 else None
     try:
-        return Parsed(Manifest.model_validate(raw), tables, (), is_left)
+        return Parsed(Manifest.model_validate(raw), tables, (), is_left, step_deg)
     except ValidationError as error:
         lines = key_lines(text)
         details = error.errors(include_url=False)
         problems = [_translate(d, lines) for d in details[:LISTED_PROBLEMS]]
         told = shortened(problems, where=MANIFEST, total=len(details))
-        return Parsed(None, tables, told, is_left)
+        return Parsed(None, tables, told, is_left, step_deg)
 
 
 def parse_toml(text: str, *, file: str) -> dict[str, Any]:

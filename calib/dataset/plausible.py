@@ -6,13 +6,20 @@ cameras side by side can yield, so that nobody has to argue with it.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import TypeAlias
+
 import numpy as np
 
 from calib.core.arrays import FloatArray
 from calib.dataset.cells import Cells
+from calib.dataset.conventions import Reading, better_convention
 
 RADIANS_BELOW = 3.2
 """Readings below this are radians: as degrees, C2 would look straight at C1."""
+
+SINGLE_SHARE = 0.15
+"""Part of the readings up to which those out of range are slips of single rows."""
 
 LARGEST_COTANGENT = 20.0
 """C2 within 3 degrees of looking straight at C1, or away from it: more likely an angle."""
@@ -47,8 +54,17 @@ def check_normalised(cells: Cells, column: str, values: FloatArray) -> None:
     )
 
 
-def check_angles(cells: Cells, degrees: FloatArray) -> None:
-    """Report readings, deg, shape (n,), outside (0, 180), or that look like radians."""
+Guess: TypeAlias = Callable[[FloatArray], Reading | None]
+"""Says what readings are that do not all lie within (0, 180), if it can."""
+
+
+def check_angles(cells: Cells, degrees: FloatArray, outside: Guess = lambda _: None) -> FloatArray:
+    """Report readings, deg, shape (n,), outside (0, 180), or that look like radians.
+
+    Returns
+    -------
+    The readings; NaN all, where they follow another convention as a whole.
+    """
     known = degrees[~np.isnan(degrees)]
     if len(known) and np.all((known > 0) & (known < RADIANS_BELOW)):
         cells.suspect(
@@ -56,7 +72,16 @@ def check_angles(cells: Cells, degrees: FloatArray) -> None:
             f"all readings lie between {known.min():g} and {known.max():g}: radians?",
             "give them in degrees; C2 looks parallel to Z of C1 at 90",
         )
-        return
+        return degrees
+    beyond = (known <= 0) | (known >= 180)
+    if beyond.sum() > SINGLE_SHARE * len(known) and (guess := outside(degrees)) is not None:
+        cells.suspect(
+            "alpha2_deg",
+            f"{beyond.sum()} of {len(known)} readings, {known.min():g} to {known.max():g}, are "
+            f"outside (0, 180): {guess.what}",
+            f"{guess.remedy} (C2 looks parallel to Z of C1 at 90)",
+        )
+        return np.full_like(degrees, np.nan)
     cells.report(
         (degrees > 0) & (degrees < RADIANS_BELOW),
         "alpha2_deg",
@@ -69,6 +94,7 @@ def check_angles(cells: Cells, degrees: FloatArray) -> None:
         lambda i: f"{degrees[i]:g} is outside (0, 180)",
         "count from -X of C1 towards +Z: C2 looks parallel to Z of C1 at 90",
     )
+    return degrees
 
 
 def check_cotangents(cells: Cells, values: FloatArray) -> None:
@@ -81,25 +107,34 @@ def check_cotangents(cells: Cells, values: FloatArray) -> None:
     )
 
 
-def check_sight_lines(cells: Cells, x1c: FloatArray, alpha2: FloatArray, *, is_left: bool) -> None:
+def check_sight_lines(
+    cells: Cells, x1c: FloatArray, alpha2: FloatArray, z_mm: FloatArray, *, is_left: bool
+) -> None:
     """Report rows whose lines of sight part, so that the target would lie behind the cameras.
 
     Parameters
     ----------
-    x1c
-        Shape (n,).
+    x1c, z_mm
+        Shape (n,); depths tell whether the whole table follows another convention.
     alpha2
         Readings, rad, shape (n,).
     is_left
         Whether C2 stands at -X of C1, where all is as in a mirror.
     """
+    meant = better_convention(np.rad2deg(alpha2), x1c, z_mm, is_left=is_left)
     if is_left:
         x1c, alpha2 = -x1c, np.pi - alpha2
     towards, other = ("above", "right") if is_left else ("below", "left")
     # In front of C1 they meet where x1c + cot(alpha) > 0, that is alpha < 90 deg + atan(x1c).
     parted = alpha2 - (np.pi / 2 + np.arctan(x1c))
+    behind = (parted > LARGEST_ZERO_ERROR_RAD) & (alpha2 < np.pi)
+    if behind.any() and meant is not None:
+        where = f"the lines of sight of {behind.sum()} of {len(cells)} rows part"
+        column = "alpha2_deg" if "alpha2_deg" in cells else "ctan_alpha2"
+        cells.suspect(column, f"{where}: {meant[0]}", meant[1])
+        return
     cells.report(
-        (parted > LARGEST_ZERO_ERROR_RAD) & (alpha2 < np.pi),
+        behind,
         None,
         lambda i: (
             f"the lines of sight part by {np.rad2deg(parted[i]):.0f} degrees: "

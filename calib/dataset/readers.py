@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from functools import partial
 from typing import Generic, TypeVar
 
 import numpy as np
@@ -11,8 +12,10 @@ import numpy as np
 from calib.core.arrays import BoolArray, FloatArray
 from calib.core.errors import InputError, Problem
 from calib.dataset.cells import Cells, read_cells, require_columns
+from calib.dataset.conventions import readings_outside
 from calib.dataset.messages import shortened, shown
 from calib.dataset.plausible import (
+    Guess,
     check_angles,
     check_cotangents,
     check_depths,
@@ -114,7 +117,12 @@ def read_lengths(text: str, *, name: str, known: bool = True) -> LengthTable:
 
 
 def scan_gaze(
-    text: str, *, name: str, reference: bool = True, is_left: bool = False
+    text: str,
+    *,
+    name: str,
+    reference: bool = True,
+    is_left: bool = False,
+    step_deg: float | None = None,
 ) -> Scanned[GazeTable]:
     """Return calibration or validation rows and their faults.
 
@@ -128,6 +136,8 @@ def scan_gaze(
         Whether each row needs a reference depth.
     is_left
         Whether C2 stands at -X of C1.
+    step_deg
+        One count of the encoder, if it is stated.
 
     Raises
     ------
@@ -141,9 +151,10 @@ def scan_gaze(
     u1_px, v1_px = _pair(cells, "u1_px", "v1_px", alone=False)
     check_normalised(cells, "x1c", x1c)
     check_normalised(cells, "y1c", y1c)
-    alpha2 = _alpha2(cells)
-    check_sight_lines(cells, x1c, alpha2, is_left=is_left)
     z_mm, u_z_mm = _depths(cells)
+    outside = partial(readings_outside, x1c=x1c, z_mm=z_mm, step_deg=step_deg, is_left=is_left)
+    alpha2 = _alpha2(cells, outside)
+    check_sight_lines(cells, x1c, alpha2, z_mm, is_left=is_left)
     groups = cells.names("group")
     table = GazeTable(
         file=name,
@@ -293,18 +304,17 @@ def _pair(cells: Cells, first: str, second: str, *, alone: bool) -> tuple[FloatA
     return cells.numbers(first), cells.numbers(second)
 
 
-def _degrees(cells: Cells, *, needed: bool) -> FloatArray:
+def _degrees(cells: Cells, outside: Guess = lambda _: None, *, needed: bool) -> FloatArray:
     """Return alpha2_deg in rad; reports what is outside (0, 180) or looks like radians."""
     degrees = cells.numbers("alpha2_deg")
     if needed:
         _require_filled(cells, "alpha2_deg")
-    check_angles(cells, degrees)
-    return np.deg2rad(degrees)
+    return np.deg2rad(check_angles(cells, degrees, outside))
 
 
-def _alpha2(cells: Cells) -> FloatArray:
+def _alpha2(cells: Cells, outside: Guess) -> FloatArray:
     """Return encoder readings, rad, shape (n,), from either column."""
-    radians = _degrees(cells, needed=False)
+    radians = _degrees(cells, outside, needed=False)
     cotangents = cells.numbers("ctan_alpha2")
     check_cotangents(cells, cotangents)
     # arccot on (0, pi), continuous through 90 degrees.

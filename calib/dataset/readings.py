@@ -346,7 +346,7 @@ class _Rows:
         degrees, cotangent = values["alpha2_deg"], values["ctan_alpha2"]
         self.mark(
             (degrees <= 0) | (degrees >= 180),
-            lambda i: f"alpha2_deg {degrees[i]:g} is outside (0, 180)",
+            lambda i: _outside(float(degrees[i])),
         )
         self.mark(
             (degrees > 0) & (degrees < RADIANS_BELOW),
@@ -361,6 +361,17 @@ class _Rows:
                 np.abs(values[column]) > LARGEST_NORMALISED,
                 partial(_looks_like_pixels, column, values[column]),
             )
+
+
+def _outside(degrees: float) -> str:
+    """Return what is wrong with a reading that is outside (0, 180)."""
+    if -90 < degrees < 0:
+        guess = ": counted about 0? at 90 C2 looks parallel to Z of C1"
+    elif abs(degrees) > 360 and degrees.is_integer():
+        guess = ": a count? give it times resolution_deg"
+    else:
+        guess = ""
+    return f"alpha2_deg {degrees:g} is outside (0, 180){guess}"
 
 
 def _looks_like_pixels(column: str, values: FloatArray, row: int) -> str:

@@ -32,6 +32,12 @@ RATE_PRIOR = np.log(0.1), 1.5
 rig whose drift between calibrations is a third of their uncertainty, within a factor 4.5 (95 % a
 factor 19 in standard deviation)."""
 
+JUMPS = 0.04
+"""Chance of a jump in a typical interval: a knock, a slipped coupling."""
+
+JUMP_STD = 4.0
+"""Standard deviation of a jump, in u: it is to be larger than chance, or it would not be one."""
+
 _RATES = np.linspace(-12.0, 6.0, 181)
 _HORIZONS = 400
 
@@ -58,7 +64,9 @@ class Due:
     capped: bool
 
 
-RANDOM_WALK = "method 2 (control chart): drift as a random walk with a prior on its rate"
+RANDOM_WALK = (
+    "method 2 (control chart): drift as a random walk with a prior on its rate, rare jumps"
+)
 STAIRCASE = "method 1 (staircase)"
 
 
@@ -90,11 +98,12 @@ def next_due(days: FloatArray, values: FloatArray, std: FloatArray, *, tolerance
     weight = np.exp(log_weight - logsumexp(log_weight))
     centre = float(weight @ mean)
     horizon = np.linspace(0.0, LONGEST * last, _HORIZONS + 1)
-    spread = np.sqrt(variance[:, None] + rate[:, None] * horizon)
+    drifted = variance[:, None] + rate[:, None] * horizon
     away = (mean - centre)[:, None]
-    outside = weight @ (
-        norm.sf((tolerance - away) / spread) + norm.cdf((-tolerance - away) / spread)
-    )
+    jumped = _chance_of_jump(horizon, days)
+    outside = (1 - jumped) * (weight @ _outside(tolerance, away, drifted))
+    jump = (JUMP_STD * float(np.median(std))) ** 2
+    outside += jumped * (weight @ _outside(tolerance, away, drifted + jump))
     kept_until = int(np.searchsorted(outside, RISK, side="right")) - 1
     if kept_until < 0:
         return Due(0.0, RANDOM_WALK, float(outside[0]), capped=False)
@@ -102,24 +111,47 @@ def next_due(days: FloatArray, values: FloatArray, std: FloatArray, *, tolerance
     return Due(float(horizon[kept_until]), RANDOM_WALK, float(outside[kept_until]), capped=capped)
 
 
+def _outside(tolerance: float, away: FloatArray, variance: FloatArray) -> FloatArray:
+    spread = np.sqrt(variance)
+    found: FloatArray = norm.sf((tolerance - away) / spread) + norm.cdf(
+        (-tolerance - away) / spread
+    )
+    return found
+
+
+def _chance_of_jump(time: FloatArray, days: FloatArray) -> FloatArray:
+    typical = float(np.median(np.diff(days)))
+    found: FloatArray = 1 - (1 - JUMPS) ** (time / typical)
+    return found
+
+
 def _filtered(
     days: FloatArray, values: FloatArray, std: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return log posterior weight, state mean, state variance and rate, each by rate of drift.
 
-    A scalar Kalman filter for each rate of the grid, started at the first calibration.
+    A scalar Kalman filter for each rate of the grid, started at the first calibration. Whether the
+    rig jumped in an interval is a mixture of two, merged to its mean and variance after each
+    (generalised pseudo-Bayes of first order: Bar-Shalom, Li and Kirubarajan, Estimation with
+    Applications to Tracking and Navigation, 2001, section 11.6.3).
     """
-    unit = float(np.median(std)) ** 2 / float(np.median(np.diff(days)))
-    rate = np.exp(_RATES) * unit
+    u2 = float(np.median(std)) ** 2
+    rate = np.exp(_RATES) * u2 / float(np.median(np.diff(days)))
     mean = np.full(len(rate), values[0])
     variance = np.full(len(rate), std[0] ** 2)
     score = -0.5 * ((_RATES - RATE_PRIOR[0]) / RATE_PRIOR[1]) ** 2
-    for step, value, u in zip(np.diff(days), values[1:], std[1:], strict=True):
-        variance = variance + rate * step
-        total = variance + u**2
+    jumped = _chance_of_jump(np.diff(days), days)
+    for step, chance, value, u in zip(np.diff(days), jumped, values[1:], std[1:], strict=True):
         innovation = value - mean
-        score = score - 0.5 * (np.log(total) + innovation**2 / total)
-        gain = variance / total
-        mean = mean + gain * innovation
-        variance = variance * (1 - gain)
+        # Without and with a jump, shape (2, rates).
+        before = np.stack([variance + rate * step, variance + rate * step + JUMP_STD**2 * u2])
+        total = before + u**2
+        log = np.log([[1 - chance], [chance]]) - 0.5 * (np.log(total) + innovation**2 / total)
+        each = logsumexp(log, axis=0)
+        share = np.exp(log - each)
+        gain = before / total
+        means = mean + gain * innovation
+        score = score + each
+        mean = (share * means).sum(axis=0)
+        variance = (share * (before * (1 - gain) + (means - mean) ** 2)).sum(axis=0)
     return score, mean, variance, rate

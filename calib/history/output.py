@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from html import escape
 
 from calib.history.drift import FAMILY_RISK, Drift, Run
+from calib.report.plain_page import Block, Paragraph, PlainTable, plain_page
 
 Table = tuple[str, list[list[str]]]
 """Title and rows of cells, the first its head; a row of one cell is a note on the table."""
@@ -18,8 +18,13 @@ def tables(runs: Sequence[Run], drifts: Sequence[Drift]) -> list[Table]:
         ("Parameters", _parameters(runs)),
         ("Predictive scores", _scores(runs)),
         ("u(z), mm", _depth_u(runs)),
-        *((_title(d), _changes(d)) for d in drifts),
+        *changes_tables(drifts),
     ]
+
+
+def changes_tables(drifts: Sequence[Drift]) -> list[Table]:
+    """Return what changed from one run to another, a table a pair."""
+    return [(_title(d), _changes(d)) for d in drifts]
 
 
 def _runs(runs: Sequence[Run]) -> list[list[str]]:
@@ -103,35 +108,12 @@ def text(found: Sequence[Table]) -> str:
     return "\n\n".join(blocks) + "\n"
 
 
-_HEAD = """<!doctype html>
-<html lang="en"><head><meta charset="utf-8">
-<meta name="generator" content="calib compare"><title>Runs side by side</title>
-<style>
-body { font: 15px/1.45 "DejaVu Sans", sans-serif; margin: 2em auto; max-width: 62em; }
-table { border-collapse: collapse; margin: .6em 0 1.6em; }
-th, td { padding: .2em .8em .2em 0; text-align: left; border-bottom: 1px solid #d9d9d9; }
-h2 { font-size: 1.05em; margin-bottom: 0; }
-</style></head><body>
-<h1>Runs side by side</h1>
-"""
-
-
 def html(found: Sequence[Table]) -> str:
     """Return the tables as one self-contained page."""
-    parts = [_HEAD]
-    for title, (head, *rows) in found:
-        parts.append(f"<h2>{escape(title)}</h2>\n<table>\n{_line(head, 'th')}")
-        parts += [_line(row, "td") for row in rows]
-        parts.append("</table>\n")
-    parts.append(
-        "<p>A change is called significant if chance alone would make one as large, among those of "
+    blocks: list[Block] = [PlainTable(title, head, rows) for title, (head, *rows) in found]
+    note = (
+        "A change is called significant if chance alone would make one as large, among those of "
         f"its table, with less than {100 * FAMILY_RISK:.0f} % probability. Runs are taken as "
-        "independent, unless a note says otherwise.</p>\n</body></html>\n"
+        "independent, unless a note says otherwise."
     )
-    return "".join(parts)
-
-
-def _line(cells: Sequence[str], kind: str) -> str:
-    if len(cells) == 1:
-        return f'<tr><td colspan="9">{escape(cells[0])}</td></tr>\n'
-    return "<tr>" + "".join(f"<{kind}>{escape(cell)}</{kind}>" for cell in cells) + "</tr>\n"
+    return plain_page("Runs side by side", [*blocks, Paragraph(note)], generator="calib compare")

@@ -8,13 +8,15 @@ from datetime import date, timedelta
 import numpy as np
 
 from calib.history.charts import UNCERTAINTY_RISK, charts, reference, scatter_test
-from calib.history.due import Due, next_due
+from calib.history.due import LONGEST, Due, next_due
 from calib.history.index import Entry
 from calib.history.quantities import Series, series
 
 ACCEPTED = 3
 """Calibrations at acceptance: their weighted mean is the reference. With fewer its error hides
 what the charts look for; with more a rig calibrated yearly has no chart for years."""
+
+GUIDE = "ILAC-G24:2022 / OIML D 10"
 
 
 def show(entries: Sequence[Entry], *, accepted: int = ACCEPTED) -> list[list[str]]:
@@ -80,6 +82,18 @@ def due(
     first, where = min(found, key=lambda pair: (pair[0].interval, -(pair[0].risk or 0)))
     # Whole days, rounded down: the date is not to be later than what was computed.
     return _day(list(by_day)[-1]) + timedelta(days=int(first.interval)), first, where
+
+
+def due_text(found: tuple[date, Due, Series]) -> list[str]:
+    """Return a due date in words: the date, the method, the risk, and whether it is capped."""
+    day, result, where = found
+    when = f"due on {day}" if result.interval > 0 else "due at once"
+    said = [f"{when}, decided by the {where.name}", f"{GUIDE}, {result.method}"]
+    if result.risk is not None:
+        said.append(f"probability of being out of tolerance then: {100 * result.risk:.1f} %")
+    if result.capped:
+        said.append(f"capped at {LONGEST} times the last interval")
+    return said
 
 
 def _day(text: str) -> date:

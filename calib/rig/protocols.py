@@ -58,7 +58,8 @@ class Frame:
     pixels
         8-bit grey, shape (height, width).
     exposed_ns
-        Begin of the exposure; never earlier than the truth, by as much as `sure` allows.
+        Begin of the exposure; the truth may be later, by as much as `sure` leaves open, never
+        earlier: a frame that says it was exposed after a moment was.
     sure
         How the beginning is known.
     serial

@@ -16,6 +16,15 @@ from calib.rig.protocols import AxisDriver, CameraDriver
 CAMERAS: Final = "calib.cameras"
 AXES: Final = "calib.axes"
 
+BUILT_IN: Final = (
+    EntryPoint("virtual", "calib.rig.virtual.camera:open_camera", CAMERAS),
+    EntryPoint("gige", "calib.rig.drivers.gige:open_camera", CAMERAS),
+    EntryPoint("video", "calib.rig.drivers.video:open_camera", CAMERAS),
+    EntryPoint("virtual", "calib.rig.virtual.axis:open_axis", AXES),
+    EntryPoint("ximc", "calib.rig.drivers.ximc:open_axis", AXES),
+)
+"""Drivers that come with this package; they need no metadata of an installation."""
+
 
 def camera_driver(name: str, *, where: str) -> CameraDriver:
     """Return the driver of a camera; `where` is the place that names it, for messages.
@@ -36,7 +45,8 @@ def axis_driver(name: str, *, where: str) -> AxisDriver:
 
 
 def _load(group: str, name: str, where: str) -> object:
-    found = {point.name: point for point in entry_points(group=group)}
+    points = (*entry_points(group=group), *(p for p in BUILT_IN if p.group == group))
+    found = {point.name: point for point in points}
     if name not in found:
         raise InputError.single(
             where=where,

@@ -52,9 +52,15 @@ _Order: TypeAlias = Callable[[], tuple[str, bytes] | None]
 """What a worker's thread wants done: tell the caller something, or give it an outcome."""
 
 
+PROCESSORS = "CALIB_PROCESSORS"
+"""Environment variable: how many processors a run uses at most."""
+
+
 def processors() -> int:
     """Return how many processors this process may use."""
-    return len(os.sched_getaffinity(0))
+    wanted = os.environ.get(PROCESSORS, "")
+    allowed = len(os.sched_getaffinity(0))
+    return min(allowed, max(int(wanted), 1)) if wanted.isdecimal() else allowed
 
 
 def run_parallel(

@@ -2,26 +2,20 @@
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from calib.core.errors import EstimationError, UsageError
+from calib.core.errors import EstimationError
 from calib.stages.call import address
+from calib.stages.cluster import run_on_cluster
 from calib.stages.fingerprint import code_fingerprint, digest
 from calib.stages.parallel import Request, run_parallel
 from calib.stages.stage_file import Failure, unpack
 from calib.study.conditions import ADVICE, CONDITIONS
 
 Record = dict[str, Any]
-
-RETRIES = 3
-"""Times that a rig is given to another worker after one has died over it."""
-
-CONNECT_SECONDS = 10
-"""Longest wait for a scheduler to answer."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +67,7 @@ def perform_all(tasks: Sequence[Task], *, jobs: int, scheduler: str | None) -> I
         If a worker dies; on a cluster, if several die over one rig.
     """
     if scheduler is not None:
-        return _on_cluster(tasks, scheduler)
+        return run_on_cluster(perform, tasks, scheduler)
     if jobs == 1:
         return map(perform, tasks)
     return _on_processes(tasks, jobs)
@@ -100,30 +94,3 @@ def _on_processes(tasks: Sequence[Task], jobs: int) -> Iterator[Record]:
             if isinstance(record, Failure):
                 raise EstimationError(f"{name}: {record.reason}")
             yield record
-
-
-def _on_cluster(tasks: Sequence[Task], address: str) -> Iterator[Record]:
-    try:
-        distributed: Any = importlib.import_module("distributed")
-    except ImportError as error:
-        raise UsageError(
-            "--scheduler needs the package distributed: pip install 'active-gazing-calib[cluster]'"
-        ) from error
-    try:
-        client = distributed.Client(address, timeout=CONNECT_SECONDS)
-    except (OSError, ValueError) as error:
-        raise UsageError(
-            f"--scheduler {address}: no Dask scheduler answers there; start one with "
-            "`dask scheduler` and workers with `dask worker ADDRESS`"
-        ) from error
-    with client:
-        # Keys of their own: a rig asked for twice, by two studies, is still computed afresh.
-        futures = client.map(perform, tasks, pure=False, retries=RETRIES)
-        try:
-            for future in distributed.as_completed(futures):
-                yield future.result()
-        except distributed.KilledWorker as error:
-            raise EstimationError(
-                f"workers died over one rig {RETRIES} times; finished rigs are kept: look at the "
-                "workers' memory and run the same command again"
-            ) from error

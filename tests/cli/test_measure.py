@@ -300,6 +300,8 @@ BAD_ROWS = {
     "cell too many": ("x1c,y1c", "0.05,0.1", "bad,0,0,89,1", "has 5 cells, the header has 4"),
     "decimal comma": ("x1c,y1c", "0.05,0.1", 'bad,"0,05",0,89', "'0,05'"),
     "radians": ("x1c,y1c", "0.05,0.1", "bad,0.05,0.1,1.5", "radians?"),
+    "about 0": ("x1c,y1c", "0.05,0.1", "bad,0.05,0.1,-3", "counted about 0?"),
+    "counts": ("x1c,y1c", "0.05,0.1", "bad,0.05,0.1,1547", "times resolution_deg"),
     "outside the picture": (
         "u1_px,v1_px",
         "400,300",

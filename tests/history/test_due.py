@@ -36,7 +36,7 @@ def out_of_tolerance(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("calibrations", [3, 5, 10, 20])
-@pytest.mark.parametrize(("tolerance", "jumps"), [(1.3, 0.0), (3.0, 0.02)])
+@pytest.mark.parametrize(("tolerance", "jumps"), [(1.3, 0.0), (1.3, 0.02), (3.0, 0.02)])
 def test_out_of_tolerance_at_the_date(calibrations: int, tolerance: float, jumps: float) -> None:
     """At 1.3 u the risk decides the date, at 3 u mostly the cap."""
     share = out_of_tolerance(

@@ -16,6 +16,7 @@ import pytest
 
 from calib.cli.main import main
 from calib.history.index import history, rigs, update
+from calib.history.page import page_name
 from calib.history.quantities import series
 from calib.history.summary import due, show
 
@@ -196,3 +197,36 @@ def test_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert "no rig 'R7'" in capsys.readouterr().err
     (tmp_path / "i.sqlite").write_text("no database, but long enough to be looked at" * 9)
     assert main(["history", "show", *index]) == 2
+
+
+def test_pages_lead_to_all_rigs_alarms_first(tmp_path: Path) -> None:
+    fleet(tmp_path / "good", of=2, each=5)
+    moved = fleet(tmp_path / "moved", of=3, each=12, step=5e-3)
+    for folder in moved.glob("00[01]-*"):
+        shutil.rmtree(folder)
+    index = tmp_path / "h.sqlite"
+    update(index, [tmp_path / "good", moved])
+    out = tmp_path / "pages"
+    command = ["history", "page", "--index", str(index), "--out", str(out), "--tolerance", "20"]
+    assert main(command) == 0
+    assert sorted(path.name for path in out.iterdir()) == [
+        "R000.html", "R001.html", "R002.html", "index.html",
+    ]  # fmt: skip
+    text = (out / "index.html").read_text()
+    assert text.index("R002.html") < text.index("R000.html")
+    assert "delta2 (Shewhart" in text
+    one = (out / "R002.html").read_text()
+    assert "ALARM 2021-06-24" in one
+    assert one.count("<svg") == 1
+    assert "due on 2022-" in one
+    assert "ALARM" not in (out / "R000.html").read_text()
+
+
+@pytest.mark.parametrize(
+    "serial", ["../../etc", "a/b", "index", "", ".", "a b", "\N{GREEK SMALL LETTER ALPHA}"]
+)
+def test_a_page_of_any_serial_stays_in_its_folder(serial: str) -> None:
+    name = page_name(serial)
+    assert Path(name).name == name
+    assert not name.startswith((".", "index.html"))
+    assert name != page_name(serial + "x")

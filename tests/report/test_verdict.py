@@ -142,3 +142,22 @@ def test_a_common_factor_of_all_validation_depths_points_to_the_scale(
     assert ("All differ by about -4.0 %" in text) is named
     far = np.argsort(-np.abs(error * depth))
     assert f"the worst first: v{far[0]}, v{far[1]}, v{far[2]}" in text
+
+
+def test_uncertainties_stated_far_too_large_are_remarked_on() -> None:
+    """Simulated: 20 rows whose residuals are a fiftieth of what is stated; honest ones say nothing.
+
+    So do six rows, whose residuals may be small by chance.
+    """
+    honest = np.random.default_rng(1).standard_normal(20)
+
+    def said(standardised: np.ndarray) -> list[str]:
+        rejected = np.zeros(len(standardised), dtype=bool)
+        found = refitted(standardised=standardised, rejected=rejected, data_parameters=4.0)
+        return [text for text in gaze_warnings(found) if "lead to expect" in text]
+
+    (text,) = said(honest / 50)
+    assert "u_z_rel" in text
+    assert "more certain than stated" in text
+    assert said(honest) == []
+    assert said(honest[:6] / 3) == []

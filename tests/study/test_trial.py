@@ -201,7 +201,7 @@ def test_command_writes_table_and_figures(
 
 
 def test_wrong_use_is_explained(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("calib.study.tasks.CONNECT_SECONDS", 1)
+    monkeypatch.setattr("calib.stages.cluster.CONNECT_SECONDS", 1)
     with pytest.raises(UsageError, match="unknown; choose from"):
         study("--out", str(tmp_path), "--condition", "sunshine")
     with pytest.raises(UsageError, match="no Dask scheduler answers"):

@@ -22,6 +22,7 @@ from calib.images.intrinsics.gates import (
     intrinsics_gates,
     intrinsics_warnings,
     orientation_fault,
+    views_left_out,
 )
 from calib.images.intrinsics.maps import (
     GRID,
@@ -293,14 +294,22 @@ def _assemble(
     at = nodes(inliers, corners.image_size)
     agreement, splined, others = _differences(enlarged, selected, backends, lens, at)
     unused = seen(corners.pixels).any(axis=-1) & ~_views_of(selected)
-    inconsistent = _inconsistent_views(corners, selected)
+    left_out = views_left_out(corners.images, corners.pixels, selected.residuals)
     drawn_fit = backends.flat.get(lens)
     flat = (
         compare(enlarged, rays_of(drawn_fit, at), at)
         if drawn_fit is not None and agreement is not None
         else None
     )
-    gates = intrinsics_gates(camera, enlarged, coverage, validation, agreement=agreement, flat=flat)
+    gates = intrinsics_gates(
+        camera,
+        enlarged,
+        coverage,
+        validation,
+        agreement=agreement,
+        flat=flat,
+        left_out=left_out,
+    )
     return Intrinsics(
         name=camera,
         selected=enlarged,
@@ -319,7 +328,7 @@ def _assemble(
         mrcal_version=None if mrcal.missing else mrcal.version,
         gates=gates,
         warnings=(
-            *picture_warnings(camera, corners, repeated, inconsistent),
+            *picture_warnings(camera, corners, repeated, left_out.images),
             *backend_warnings(camera, mrcal),
             *([f"{camera}: {worse}"] if worse else []),
             *intrinsics_warnings(camera, gates, dispersion=dispersion, splined=splined),
@@ -368,10 +377,3 @@ def _selection(selected: LensFit, validation: CrossValidation, backends: _Backen
     else:
         backend = "OpenCV, " + ("alone here" if mrcal.missing else "as mrcal found none so good")
     return "; ".join([validation.reason, *backends.failed, f"by {backend}"])
-
-
-def _inconsistent_views(corners: Corners, selected: LensFit) -> tuple[str, ...]:
-    """Return the images of which the fit rejected over half of the corners."""
-    found = seen(corners.pixels).sum(axis=-1)
-    kept = seen(selected.residuals).sum(axis=-1)
-    return tuple(corners.images[i] for i in np.flatnonzero(2 * kept < found))

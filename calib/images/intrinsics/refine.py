@@ -11,7 +11,7 @@ from calib.core.arrays import FloatArray
 from calib.geometry.board import Corners, LensFit
 from calib.images.detection.grid import seen
 from calib.images.intrinsics.calibrate import Intrinsics
-from calib.images.intrinsics.gates import intrinsics_gates
+from calib.images.intrinsics.gates import intrinsics_gates, views_left_out
 from calib.images.intrinsics.maps import compare, map_uncertainty, measure_coverage, nodes, rays_of
 from calib.images.joint.lens import RefinedLens
 
@@ -46,7 +46,14 @@ def refine(found: Intrinsics, lens: RefinedLens, corners: Corners) -> Intrinsics
     coverage = measure_coverage(inliers, corners.image_size)
     lost = seen(pixels).any(axis=-1) & ~seen(fit.residuals).any(axis=-1)
     dropped = tuple(lens.images[i] for i in np.flatnonzero(lost))
-    gates = intrinsics_gates(found.name, fit, coverage, found.validation, agreement=None)
+    gates = intrinsics_gates(
+        found.name,
+        fit,
+        coverage,
+        found.validation,
+        agreement=None,
+        left_out=views_left_out(lens.images, pixels, fit.residuals),
+    )
     before = found.selected
     return replace(
         found,

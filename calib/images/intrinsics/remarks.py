@@ -37,8 +37,9 @@ def picture_warnings(
     if inconsistent:
         warnings.append(
             f"{camera}: most corners of {', '.join(inconsistent)} contradict the other images "
-            "and were left out: look whether such a picture is turned, scaled, or taken with "
-            "another focus or camera"
+            "and were left out: look whether such a picture is blurred, turned, scaled, or taken "
+            "with another focus or camera, and name it in exclude = [...] of "
+            f"[cameras.{camera}]"
         )
     return tuple(warnings)
 

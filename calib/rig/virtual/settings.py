@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import ConfigDict, Field, model_validator
 
-from calib.dataset.fields import NotNegative, Number, Positive, refuse
+from calib.dataset.fields import Line, NotNegative, Number, Positive, refuse
 from calib.dataset.manifest import Section
 from calib.dataset.messages import shown, suggestion
 from calib.geometry.parameters import NAMES
@@ -37,6 +37,10 @@ class Faults(Section):
         Moves in which the motor loses steps.
     stopped_share
         Moves that another hand stops on the way.
+    early_done_ms
+        The controller says so long before rest that the move is done.
+    ringing_ms
+        C2 rings on after a move, by a step at first, dying away with this time constant.
     truncated
         The controller cuts a command down to 1/256 of a full step instead of rounding it.
     reversed
@@ -55,6 +59,8 @@ class Faults(Section):
     microstep_error: Annotated[Number, Field(ge=0, le=0.25)] = 0.0
     lost_steps_share: Share = 0.0
     stopped_share: Share = 0.0
+    early_done_ms: NotNegative = 0.0
+    ringing_ms: NotNegative = 0.0
     truncated: bool = False
     reversed: bool = False
     moving_share: Share = 0.0
@@ -75,6 +81,14 @@ class VirtualSettings(Faults):
         Of the cameras.
     encoder_noise_deg
         Standard deviation of what an encoder reads, on top of its resolution.
+    target
+        What stands before the rig: "board", "tag:DICTIONARY:ID", "cross" or "blob".
+    light
+        Brightness of the scene; 1 makes white paper 210 of 255.
+    grey_noise
+        Standard deviation of the grey values, 8-bit steps.
+    truth
+        File to which the truth is written as it comes to pass, one JSON object a line.
     """
 
     model_config = ConfigDict(frozen=True, extra="allow")
@@ -85,6 +99,10 @@ class VirtualSettings(Faults):
     exposure_ms: Positive = 8.0
     frame_ms: Positive = 40.0
     encoder_noise_deg: NotNegative = 0.0
+    target: Line = "board"
+    light: Positive = 1.0
+    grey_noise: NotNegative = 1.5
+    truth: Line | None = None
 
     @property
     def parameters(self) -> Mapping[str, float]:

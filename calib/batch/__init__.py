@@ -1,0 +1,1 @@
+"""Many datasets at once: each calibrated by itself, with one summary of all."""

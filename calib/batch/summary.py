@@ -1,0 +1,116 @@
+"""What a batch gave: one line a dataset, as CSV and as a page that leads to the reports."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from urllib.parse import quote
+
+from calib.batch.task import Ending, Outcome
+from calib.core.errors import CalibError
+from calib.history.drift import EFFECTIVE
+from calib.history.read import read_run
+from calib.report.plain_page import Block, Cell, Link, Paragraph, PlainTable, State, plain_page
+
+GENERATOR = "calib batch"
+
+DOCUMENTS = ("report.html", "certificate.html")
+
+
+@dataclass(frozen=True)
+class Line:
+    """A dataset's line.
+
+    Parameters
+    ----------
+    folder
+        Of its run, relative to that of the batch.
+    figures
+        As printed, by column; none where the run has no gaze calibration.
+    remarks
+        Gates that failed, or what the run said.
+    documents
+        That are there to be read.
+    """
+
+    dataset: str
+    folder: str
+    ending: Ending
+    figures: dict[str, str]
+    remarks: tuple[str, ...]
+    documents: tuple[str, ...]
+
+
+COLUMNS = ("model", "L_b + e, mm", "u, mm", "depths, mm", "u(z) at the middle, mm")
+
+
+def line_of(outcome: Outcome, out: Path) -> Line:
+    """Return the line of one dataset, from the files of its run."""
+    folder = Path(outcome.task.out)
+    relative = folder.relative_to(out.resolve()).as_posix()
+    if outcome.ending in ("refused", "crashed"):
+        # What lies there may be of an earlier run.
+        return Line(outcome.task.dataset, relative, outcome.ending, {}, outcome.said, ())
+    documents = tuple(name for name in DOCUMENTS if (folder / name).exists())
+    try:
+        run = read_run(folder)
+    except CalibError as error:
+        # A calibration of cameras alone, as a rule.
+        said = str(error).splitlines()[:1]
+        return Line(outcome.task.dataset, relative, outcome.ending, {}, tuple(said), documents)
+    value, std = run.estimates()[EFFECTIVE]
+    near, far = run.measuring.calibrated_mm
+    u = run.u_at((near + far) / 2)
+    cells = (
+        run.model, f"{value:.5g}", f"{std:.2g}", f"{near:.0f} to {far:.0f}",
+        "" if u is None else f"{u:.2g}",
+    )  # fmt: skip
+    figures = dict(zip(COLUMNS, cells, strict=True))
+    remarks = tuple(f"gate {name}" for name in run.failed)
+    return Line(outcome.task.dataset, relative, outcome.ending, figures, remarks, documents)
+
+
+def counts(lines: Sequence[Line]) -> str:
+    """Return how many ended how, in words."""
+    kinds: tuple[Ending, ...] = ("passed", "gates failed", "refused", "crashed")
+    numbers = {kind: sum(line.ending == kind for line in lines) for kind in kinds}
+    said = ", ".join(f"{number} {kind}" for kind, number in numbers.items() if number)
+    return f"{len(lines)} datasets: {said}"
+
+
+def csv_text(lines: Sequence[Line]) -> str:
+    """Return the table as CSV."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(["dataset", "result", *COLUMNS, "run", "remarks"])
+    for line in lines:
+        figures = [line.figures.get(name, "") for name in COLUMNS]
+        row = [line.dataset, line.ending, *figures, line.folder, "; ".join(line.remarks)]
+        # A name that a spreadsheet would compute is kept as text.
+        writer.writerow([f"'{cell}" if cell[:1] in tuple("=+-@\t") else cell for cell in row])
+    return text.getvalue()
+
+
+def page(lines: Sequence[Line]) -> str:
+    """Return the table as a page, what went wrong first."""
+    order = ("crashed", "refused", "gates failed", "passed")
+    rows: list[list[Cell]] = [
+        [
+            line.folder,
+            State(line.ending, line.ending == "passed"),
+            *(line.figures.get(name, "") for name in COLUMNS),
+            tuple(Link(_title(name), quote(f"{line.folder}/{name}")) for name in line.documents),
+            "; ".join(line.remarks),
+        ]
+        for line in sorted(lines, key=lambda line: order.index(line.ending))
+    ]
+    head = ["dataset", "result", *COLUMNS, "documents", "remarks"]
+    blocks: list[Block] = [Paragraph(f"{counts(lines)}."), PlainTable("", head, rows)]
+    return plain_page("Batch of calibrations", blocks, generator=GENERATOR)
+
+
+def _title(name: str) -> str:
+    return name.partition(".")[0]

@@ -1,0 +1,141 @@
+"""A rig's history, and that of all rigs, as pages."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+from calib.core.errors import CalibError
+from calib.history.charts import charts, reference
+from calib.history.drift import drifts
+from calib.history.figure import chart_figure
+from calib.history.index import Entry
+from calib.history.output import changes_tables
+from calib.history.quantities import series
+from calib.history.read import read_run
+from calib.history.summary import due, due_text, notes, show
+from calib.report.plain_page import (
+    Block,
+    Cell,
+    Drawing,
+    Link,
+    Paragraph,
+    PlainTable,
+    State,
+    plain_page,
+)
+from calib.report.plotting import svg
+
+GENERATOR = "calib history page"
+
+REPORT = "report.html"
+
+
+def rig_page(entries: Sequence[Entry], *, accepted: int, tolerance_mm: float | None) -> str:
+    """Return the page of one rig.
+
+    Parameters
+    ----------
+    entries
+        Its calibrations in time order.
+    accepted
+        Calibrations that make the reference.
+    tolerance_mm
+        Largest tolerated error of a depth by drift; without it no due date is given.
+    """
+    head, *rows = show(entries, accepted=accepted)
+    blocks: list[Block] = [
+        Paragraph(note)
+        for note in (*notes(entries, accepted=accepted), *_due(entries, tolerance_mm))
+    ]
+    blocks.append(PlainTable("Control charts", head, [_states(row) for row in rows]))
+    if len(entries) > accepted:
+        figure = chart_figure(series(entries), accepted=accepted)
+        blocks.append(Drawing("Charts", svg(figure).decode("utf-8")))
+    blocks += _last_change(entries)
+    blocks.append(_calibrations(entries))
+    return plain_page(f"Rig {entries[0].rig}", blocks, generator=GENERATOR)
+
+
+def fleet_page(
+    rigs: Sequence[Sequence[Entry]], *, accepted: int, tolerance_mm: float | None
+) -> str:
+    """Return the page of all rigs, those with alarms first; each leads to its own page."""
+    rows: list[tuple[int, str, list[Cell]]] = []
+    for entries in rigs:
+        alarms = _alarms(entries, accepted)
+        state = State("; ".join(alarms), good=False) if alarms else State("in control", good=True)
+        charted: Cell = state if len(entries) > accepted else "no chart yet"
+        found = None if tolerance_mm is None else due(entries, tolerance_mm=tolerance_mm)
+        day = "" if found is None else found[0].isoformat()
+        serial = entries[0].rig
+        row: list[Cell] = [
+            Link(serial, page_name(serial)), str(len(entries)), entries[-1].date, charted,
+        ]  # fmt: skip
+        rows.append((-len(alarms), serial, [*row, *([] if tolerance_mm is None else [day])]))
+    head = ["rig", "calibrations", "last", "charts", *([] if tolerance_mm is None else ["due"])]
+    table = PlainTable("", head, [row for _, _, row in sorted(rows, key=lambda r: r[:2])])
+    number = sum(alarms < 0 for alarms, _, _ in rows)
+    said = f"{len(rows)} rigs, {number} with an alarm in any of their charts."
+    return plain_page("All rigs", [Paragraph(said), table], generator=GENERATOR)
+
+
+def page_name(serial: str) -> str:
+    """Return the file name of a rig's page: readable, harmless, and of this rig alone."""
+    plain = re.sub(r"[^A-Za-z0-9._-]", "_", serial)[:60].lstrip(".-") or "rig"
+    if plain == serial and plain != "index":
+        return f"{plain}.html"
+    return f"{plain}-{hashlib.sha256(serial.encode()).hexdigest()[:8]}.html"
+
+
+def _alarms(entries: Sequence[Entry], accepted: int) -> list[str]:
+    found: list[str] = []
+    if len(entries) <= accepted:
+        return found
+    for one in series(entries):
+        at = reference(one.values[:accepted], one.std[:accepted])
+        names = [
+            chart.name
+            for chart in charts(one.values[accepted:], one.std[accepted:], at)
+            if chart.first_alarm is not None
+        ]
+        if names:
+            found.append(f"{one.name} ({', '.join(names)})")
+    return found
+
+
+def _states(row: Sequence[str]) -> list[Cell]:
+    return [State(cell, good=False) if cell.startswith("ALARM") else cell for cell in row]
+
+
+def _due(entries: Sequence[Entry], tolerance_mm: float | None) -> list[str]:
+    if tolerance_mm is None:
+        return []
+    found = due(entries, tolerance_mm=tolerance_mm)
+    if found is None:
+        return ["No due date: there is no interval between two calibrations yet."]
+    return [f"Next calibration, for {tolerance_mm:g} mm: {'; '.join(due_text(found))}."]
+
+
+def _last_change(entries: Sequence[Entry]) -> list[Block]:
+    """Return what changed last, if both calibrations are still there."""
+    if len(entries) < 2:
+        return []
+    try:
+        runs = [read_run(Path(entry.path)) for entry in entries[-2:]]
+    except CalibError as error:
+        return [Paragraph(f"The last two calibrations cannot be compared: {error}")]
+    return [
+        PlainTable(f"What changed last. {title}", head, rows)
+        for title, (head, *rows) in changes_tables(drifts(runs))
+    ]
+
+
+def _calibrations(entries: Sequence[Entry]) -> PlainTable:
+    rows: list[list[Cell]] = [
+        [e.date, e.dataset, e.model, Link(e.path, (Path(e.path) / REPORT).as_uri())]
+        for e in reversed(entries)
+    ]
+    return PlainTable("Calibrations", ["date", "dataset", "model", "report"], rows)

@@ -1,0 +1,123 @@
+"""Small pages of tables and figures: self-contained, no scripts, light and dark."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from html import escape
+from typing import TypeAlias
+
+from calib.results.wording import printable
+
+
+@dataclass(frozen=True)
+class Link:
+    """A cell that leads to a file; its address is relative to the page."""
+
+    text: str
+    address: str
+
+
+@dataclass(frozen=True)
+class State:
+    """A cell that says whether something is as it should be."""
+
+    text: str
+    good: bool
+
+
+Cell: TypeAlias = str | Link | State | tuple["str | Link | State", ...]
+"""Several in one cell are separated by commas."""
+
+
+@dataclass(frozen=True)
+class PlainTable:
+    """A table; a row of one cell is a note on it."""
+
+    title: str
+    head: Sequence[str]
+    rows: Sequence[Sequence[Cell]]
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """A figure as SVG."""
+
+    title: str
+    svg: str
+
+
+@dataclass(frozen=True)
+class Paragraph:
+    """Text."""
+
+    text: str
+
+
+Block: TypeAlias = PlainTable | Drawing | Paragraph
+
+_STYLE = """
+:root { color-scheme: light dark; --line: #d9d9d9; --bad: #a83200; --good: #00664d; }
+@media (prefers-color-scheme: dark) { :root { --line: #555; --bad: #ff9d70; --good: #5fd3b0; } }
+body { font: 15px/1.45 "DejaVu Sans", sans-serif; margin: 2em auto; max-width: 70em;
+  padding: 0 1em; }
+h2 { font-size: 1.05em; margin-bottom: 0; }
+.wide { overflow-x: auto; margin: .6em 0 1.6em; }
+table { border-collapse: collapse; }
+th, td { padding: .2em .8em .2em 0; text-align: left; vertical-align: top;
+  border-bottom: 1px solid var(--line); }
+.bad { color: var(--bad); font-weight: bold; } .good { color: var(--good); }
+svg { max-width: 100%; height: auto; background: #fff; }
+"""
+
+
+def plain_page(title: str, blocks: Sequence[Block], *, generator: str) -> str:
+    """Return the page.
+
+    Parameters
+    ----------
+    generator
+        The command that writes it; an output of that name is known by it.
+    """
+    body = "\n".join(_block(block) for block in blocks)
+    return printable(
+        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">\n'
+        f'<meta name="generator" content="{escape(generator)}">'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+        f"<title>{escape(title)}</title>\n<style>{_STYLE}</style></head>\n"
+        f"<body><h1>{escape(title)}</h1>\n{body}\n</body></html>\n"
+    )
+
+
+def _block(block: Block) -> str:
+    match block:
+        case Paragraph(text):
+            return f"<p>{escape(text)}</p>"
+        case Drawing(title, svg):
+            return f"<h2>{escape(title)}</h2>\n{svg[svg.index('<svg') :]}"
+        case PlainTable(title, head, rows):
+            lines = [_line(head, "th", len(head)), *(_line(row, "td", len(head)) for row in rows)]
+            heading = f"<h2>{escape(title)}</h2>\n" if title else ""
+            # Reached by the keyboard, or a wide table could not be moved without a mouse.
+            return (
+                f'{heading}<div class="wide" tabindex="0" role="region" '
+                f'aria-label="{escape(title or "table")}"><table>\n{"".join(lines)}</table></div>'
+            )
+
+
+def _line(cells: Sequence[Cell], kind: str, columns: int) -> str:
+    if len(cells) == 1 < columns:
+        return f'<tr><{kind} colspan="{columns}">{_cell(cells[0])}</{kind}></tr>\n'
+    return "<tr>" + "".join(f"<{kind}>{_cell(cell)}</{kind}>" for cell in cells) + "</tr>\n"
+
+
+def _cell(cell: Cell) -> str:
+    match cell:
+        case tuple():
+            return ", ".join(_cell(each) for each in cell)
+        case Link(text, address):
+            return f'<a href="{escape(address)}">{escape(text)}</a>'
+        case State(text, good):
+            return f'<span class="{"good" if good else "bad"}">{escape(text)}</span>'
+        case str():
+            return escape(cell)

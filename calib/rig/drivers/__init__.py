@@ -1,0 +1,1 @@
+"""Drivers of real devices. Each file needs an extra of its own, told in docs/drivers.md."""

@@ -1,0 +1,46 @@
+"""What is known of a rig before it is calibrated: its board, and lenses that rig.toml states.
+
+A virtual camera brings its lens along, as a camera with a data sheet would.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+
+from calib.geometry.board import Board
+from calib.geometry.camera import Camera
+from calib.rig.devices import RigDevices
+
+Role = Literal["c1", "c2"]
+
+
+def known_board(rig: RigDevices) -> Board | None:
+    """Return the board of rig.toml, or the one before a virtual rig; None if there is none."""
+    if rig.world is not None:
+        return rig.world.board
+    given = rig.settings.board
+    if given is None:
+        return None
+    return Board(
+        type=given.type,
+        columns=given.columns,
+        rows=given.rows,
+        square_mm=given.square_mm,
+        target=given.target_corner or (given.columns // 2, given.rows // 2),
+        dictionary=given.dictionary,
+        marker_mm=given.marker_mm,
+        legacy=given.legacy,
+    )
+
+
+def known_lens(rig: RigDevices, role: Role) -> Camera | None:
+    """Return a camera's lens as far as it is known beforehand; None if it is not."""
+    section, device = getattr(rig.settings.cameras, role), getattr(rig, role)
+    if section.matrix is not None:
+        return Camera(np.array(section.matrix), np.array(section.distortion), device.image_size)
+    if rig.world is not None and section.driver == "virtual":
+        lens: Camera = getattr(rig.world.rig, role)
+        return lens
+    return None

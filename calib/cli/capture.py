@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from contextlib import ExitStack
 from typing import TYPE_CHECKING
 
 from calib.cli.arguments import add_output, depth, positive
@@ -21,7 +22,9 @@ if TYPE_CHECKING:
 
 DONE, NOT_ALL = 0, 3
 
-DATASET = OutputKind(is_folder=True, marks=("dataset.toml", "session.jsonl"), is_dataset=True)
+DATASET = OutputKind(
+    is_folder=True, marks=("dataset.toml", "session.jsonl", ".capture.lock"), is_dataset=True
+)
 
 DEFAULT_COUNT = 15
 DEFAULT_U_Z_MM = 1.0
@@ -56,8 +59,10 @@ def _run(arguments: argparse.Namespace) -> int:
     from calib.capture.writer import growing
     from calib.gaze.placing import placing_for
 
-    with opened(arguments.rig) as rig, growing(arguments.dataset) as folder:
+    with ExitStack() as stack:
+        rig = stack.enter_context(opened(arguments.rig))
         known = describe(rig, u_alpha2_deg=_u_alpha2_deg(arguments, rig))
+        folder = stack.enter_context(growing(arguments.dataset))
         manifest = read_manifest(folder)
         if manifest is not None:
             refuse_other(manifest, known)

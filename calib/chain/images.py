@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from hashlib import sha256
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -156,7 +154,7 @@ def _pictures(dataset: Dataset, camera: str) -> Pictures | None:
     if size is None and camera in dataset.cameras:
         size = dataset.cameras[camera].image_size
     hashes = tuple(
-        "" if name in dataset.corner_cache else _hash(dataset.root / name) for name in names
+        "" if name in dataset.corner_cache else dataset.image_sha256[name] for name in names
     )
     return Pictures(camera, names, hashes, size)
 
@@ -176,10 +174,6 @@ def _named(dataset: Dataset, camera: str) -> Iterator[str]:
         yield from (name for name in column if name is not None)
     if camera == "c2" and dataset.sweep is not None:
         yield from dataset.sweep.image_c2
-
-
-def _hash(path: Path) -> str:
-    return sha256(path.read_bytes()).hexdigest()
 
 
 def _known_camera(

@@ -42,6 +42,9 @@ class Dataset:
         here need not exist.
     warnings
         What is no fault but may be a slip.
+    image_sha256
+        SHA-256, in hex, of the images that exist, by relative name; part of `sha256`. Who decodes
+        one later holds its bytes against this.
     """
 
     root: Path
@@ -57,6 +60,7 @@ class Dataset:
     cameras: Mapping[str, Camera]
     corner_cache: Mapping[str, FloatArray]
     warnings: tuple[str, ...]
+    image_sha256: Mapping[str, str]
 
     @property
     def rows(self) -> tuple[GazeTable, ...]:

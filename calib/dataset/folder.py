@@ -203,8 +203,8 @@ class Folder:
             f"the folder {shown(str(parent))} holds files that end in {', '.join(sorted(suffixes))}"
         )
 
-    def fingerprint(self, contents: Mapping[str, bytes], files: Iterable[str]) -> str:
-        """Return the SHA-256, in hex, of files by their names and bytes.
+    def digests(self, contents: Mapping[str, bytes], files: Iterable[str]) -> dict[str, str]:
+        """Return the SHA-256, in hex, of files by their names.
 
         Parameters
         ----------
@@ -216,8 +216,7 @@ class Folder:
         digests = {name: hashlib.sha256(data).hexdigest() for name, data in contents.items()}
         for name in set(files) - digests.keys():
             digests[name] = self._digest(name)
-        listing = "".join(f"{digests[name]} {name}\n" for name in sorted(digests))
-        return hashlib.sha256(listing.encode()).hexdigest()
+        return digests
 
     def _digest(self, name: str) -> str:
         digest = hashlib.sha256()
@@ -230,6 +229,12 @@ class Folder:
                 where=name, what=f"cannot be read ({reason(error)})", remedy="check its permissions"
             ) from error
         return digest.hexdigest()
+
+
+def fingerprint(digests: Mapping[str, str]) -> str:
+    """Return the SHA-256, in hex, of files by their names and digests."""
+    listing = "".join(f"{digests[name]} {name}\n" for name in sorted(digests))
+    return hashlib.sha256(listing.encode()).hexdigest()
 
 
 def path_fault(name: str) -> str | None:

@@ -72,7 +72,9 @@ def contact_sheet(folder: Path, pictures: Pictures, corners: Corners) -> Contact
     shown = [*missed, *spread]
     small = [
         thumbnail(
-            read_grey(folder / pictures.names[i], name=pictures.names[i]),
+            read_grey(
+                folder / pictures.names[i], name=pictures.names[i], sha256=pictures.sha256[i]
+            ),
             corners.pixels[i],
             width=CONTACT_WIDTH_PX,
         )

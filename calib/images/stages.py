@@ -52,14 +52,15 @@ def find_corners(
         image_size=size,
         detector=detector,
         cache=known.corners,
+        sha256=dict(zip(pictures.names, pictures.sha256, strict=True)),
         progress=progress,
     )
 
 
 def _size(folder: Path, pictures: Pictures) -> tuple[int, int]:
-    there = (n for n, sha in zip(pictures.names, pictures.sha256, strict=True) if sha)
-    first = next(there)
-    height, width = read_grey(folder / first, name=first).shape
+    there = zip(pictures.names, pictures.sha256, strict=True)
+    first, sha256 = next((name, sha) for name, sha in there if sha)
+    height, width = read_grey(folder / first, name=first, sha256=sha256).shape
     return width, height
 
 

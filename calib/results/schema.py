@@ -145,13 +145,20 @@ class Parameter(Estimate):
     rhat: float | None = None
 
 
+class Derived(Estimate):
+    """A quantity that follows from the parameters of a fit."""
+
+    q2_5: float | None = Field(None, alias="q2.5", description="posteriors, as q97.5")
+    q97_5: float | None = Field(None, alias="q97.5")
+
+
 class Fit(Part):
     """A fit; NAME/linear, NAME/convex, NAME/robust or NAME/posterior."""
 
     parameters: Annotated[dict[str, Parameter], Field(description=_UNITS)]
     names: list[str] = Field(description="order of the covariance")
     covariance: Matrix
-    derived: dict[str, Estimate] | None = Field(None, description="effective_baseline_mm: L_b + e")
+    derived: dict[str, Derived] | None = Field(None, description="effective_baseline_mm: L_b + e")
     residual_mrad: Vector | None = Field(None, description="angle of each row to its gaze plane")
     sigma_mrad: float | None = None
     outliers: list[str] | None = None

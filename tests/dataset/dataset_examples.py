@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+import struct
+import zlib
 from pathlib import Path
 
 from calib.core.errors import Problem
@@ -49,6 +51,25 @@ GAZE = """id,x1c,y1c,alpha2_deg,z_mm
 5,0.0162,0.0100,85.859,1008.5
 6,0.1624,0.0100,94.033,998.5
 """
+
+
+def png(width: int = 400, height: int = 300, *, bits: int = 8, data: bytes = b"") -> bytes:
+    """Return a PNG file, black where no data are given, whatever size its header claims."""
+
+    def chunk(kind: bytes, body: bytes) -> bytes:
+        check = zlib.crc32(kind + body)
+        return struct.pack(">I", len(body)) + kind + body + struct.pack(">I", check)
+
+    rows = data or bytes((1 + width * bits // 8) * height)
+    return b"".join((
+        b"\x89PNG\r\n\x1a\n",
+        chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, bits, 0, 0, 0, 0)),
+        chunk(b"IDAT", zlib.compress(rows)),
+        chunk(b"IEND", b""),
+    ))  # fmt: skip
+
+
+PNG = png()
 
 
 def write_dataset(folder: Path, manifest: str | bytes = MANIFEST, **files: str | bytes) -> Path:

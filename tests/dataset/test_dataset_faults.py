@@ -13,6 +13,7 @@ import pytest
 from dataset_examples import (
     GAZE,
     MANIFEST,
+    PNG,
     assert_problem,
     problems_of,
     replaced,
@@ -22,7 +23,6 @@ from dataset_examples import (
 from calib.core.errors import InputError
 from calib.dataset.load import check_dataset, load_dataset
 
-PNG = b"\x89PNG, only looked at by the detector"
 IMAGE_CAMERA = '[cameras.c1]\nimage_size = [400, 300]\nimages = "c1/*.png"\n'
 GIVEN_CAMERA = MANIFEST[MANIFEST.index("[cameras.c1]") : MANIFEST.index("[encoder]")]
 WITH_IMAGES = replaced(MANIFEST, GIVEN_CAMERA, IMAGE_CAMERA)

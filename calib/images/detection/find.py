@@ -53,6 +53,7 @@ def detect(
     image_size: tuple[int, int],
     detector: str = "cascade",
     cache: Mapping[str, FloatArray] | None = None,
+    sha256: Mapping[str, str] | None = None,
     threads: int = THREADS,
     progress: Progress | None = None,
 ) -> Corners:
@@ -73,6 +74,8 @@ def detect(
         One of `DETECTORS`.
     cache
         Corners known beforehand by image, px, shape (corners, 2), as `read_cache` gives them.
+    sha256
+        Digests, in hex, that the bytes of images must have.
 
     Raises
     ------
@@ -82,7 +85,7 @@ def detect(
     """
     known = dict(cache or {})
     unique = list(dict.fromkeys(images))
-    search = _Search(root, board, image_size, detector, known)
+    search = _Search(root, board, image_size, detector, known, dict(sha256 or {}))
     outcomes: dict[str, _Outcome] = {}
     with steady_opencv(), ThreadPoolExecutor(max(1, threads)) as pool:
         for name, outcome in zip(unique, pool.map(search.run, unique), strict=True):
@@ -115,9 +118,10 @@ class _Search:
         image_size: tuple[int, int],
         detector: str,
         known: Mapping[str, FloatArray],
+        sha256: Mapping[str, str],
     ) -> None:
         self._root, self._board, self._size = root, board, image_size
-        self._detector, self._known = detector, known
+        self._detector, self._known, self._sha256 = detector, known, sha256
         self._own = threading.local()
 
     def run(self, name: str) -> _Outcome:
@@ -125,7 +129,7 @@ class _Search:
         if name in self._known:
             return self._recall(name)
         try:
-            grey = read_grey(self._root / name, name=name)
+            grey = read_grey(self._root / name, name=name, sha256=self._sha256.get(name, ""))
         except InputError as error:
             return _Outcome(problem=error.problems[0])
         size = (grey.shape[1], grey.shape[0])

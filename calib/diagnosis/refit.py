@@ -261,13 +261,13 @@ class _Steps:
     ) -> tuple[Refit, Linear] | None:
         model, priors = self.setting.model, self.setting.priors
         p, k = len(model.free), len(self.added)
-        own, measured = prior_of(model, priors), measured_of(model, priors)
-        known = own + measured
+        stated, measured = prior_of(model, priors), measured_of(model, priors)
+        known = stated + measured
         precision = np.zeros((p + k, p + k))
         precision[:p, :p] = known.precision
         precision[np.arange(p, p + k), np.arange(p, p + k)] = self.added.prior_std**-2.0
         shift = np.append(known.shift, np.zeros(k))
-        problem = Problem(self.setting.rows, model, own, measured, priors.noise_scale, ROBUST)
+        problem = Problem(self.setting.rows, model, stated, measured, priors.noise_scale, ROBUST)
         x = np.append(theta[list(model.indices)], np.zeros(k))
         if start is not None:
             x[p : p + self.own] = start

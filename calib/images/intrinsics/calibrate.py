@@ -19,6 +19,7 @@ from calib.images.intrinsics.by_mrcal import MrcalFits, fit_mrcal
 from calib.images.intrinsics.by_opencv import LENSES, fit_opencv
 from calib.images.intrinsics.covariance import view_scores
 from calib.images.intrinsics.gates import (
+    LeftOut,
     intrinsics_gates,
     intrinsics_warnings,
     orientation_fault,
@@ -280,8 +281,10 @@ def _assemble(
     at = nodes(inliers, corners.image_size)
     agreement, splined, others = _differences(enlarged, selected, backends, lens, at)
     unused = seen(corners.pixels).any(axis=-1) & ~_views_of(selected)
-    inconsistent = _inconsistent_views(corners, selected)
-    gates = intrinsics_gates(camera, enlarged, coverage, validation, agreement=agreement)
+    left_out = _left_out(corners, selected)
+    gates = intrinsics_gates(
+        camera, enlarged, coverage, validation, agreement=agreement, left_out=left_out
+    )
     return Intrinsics(
         name=camera,
         selected=selected,
@@ -300,7 +303,7 @@ def _assemble(
         mrcal_version=None if mrcal.missing else mrcal.version,
         gates=gates,
         warnings=(
-            *_picture_warnings(camera, corners, repeated, inconsistent),
+            *_picture_warnings(camera, corners, repeated, left_out.images),
             *_backend_warnings(camera, mrcal),
             *intrinsics_warnings(camera, gates, dispersion=dispersion, splined=splined),
         ),
@@ -336,11 +339,13 @@ def _selection(selected: LensFit, validation: CrossValidation, backends: _Backen
     return "; ".join([validation.reason, *backends.failed, f"by {backend}"])
 
 
-def _inconsistent_views(corners: Corners, selected: LensFit) -> tuple[str, ...]:
+def _left_out(corners: Corners, selected: LensFit) -> LeftOut:
     """Return the images of which the fit rejected over half of the corners."""
     found = seen(corners.pixels).sum(axis=-1)
     kept = seen(selected.residuals).sum(axis=-1)
-    return tuple(corners.images[i] for i in np.flatnonzero(2 * kept < found))
+    out = np.flatnonzero(2 * kept < found)
+    rejected = int((found - kept)[out].sum())
+    return LeftOut(tuple(corners.images[i] for i in out), rejected)
 
 
 def _picture_warnings(
@@ -361,8 +366,9 @@ def _picture_warnings(
     if inconsistent:
         warnings.append(
             f"{camera}: most corners of {', '.join(inconsistent)} contradict the other images "
-            "and were left out: look whether such a picture is turned, scaled, or taken with "
-            "another focus or camera"
+            "and were left out: look whether such a picture is blurred, turned, scaled, or taken "
+            "with another focus or camera, and name it in exclude = [...] of "
+            f"[cameras.{camera}]"
         )
     return tuple(warnings)
 

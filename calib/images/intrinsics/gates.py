@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -49,6 +50,23 @@ SPLINE_WARN = 2.0
 """Difference to a splined lens over the uncertainty of both."""
 
 
+LEFT_OUT_LIMIT = 0.2
+"""Share of the pictures that may be left out whole without their corners counting as rejected. A
+few blurred or turned pictures spoil nothing once they are out; where a fifth and more contradict
+the others, it is open which of them are right."""
+
+NAMED = 5
+"""Pictures that are named at most."""
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """Pictures of which a fit rejected most corners, and the number of those corners."""
+
+    images: tuple[str, ...]
+    corners: int
+
+
 def orientation_fault(poses: FloatArray) -> str | None:
     """Return what is wrong with how the boards were held, if they hardly differ in tilt.
 
@@ -89,6 +107,7 @@ def intrinsics_gates(
     validation: CrossValidation,
     *,
     agreement: LensDifference | None,
+    left_out: LeftOut,
 ) -> tuple[Gate, ...]:
     """Return the gates on the intrinsics of one camera.
 
@@ -100,16 +119,12 @@ def intrinsics_gates(
         The one selected, its covariance enlarged by the dispersion.
     agreement
         Difference to the other backend, where there is one.
+    left_out
+        Pictures of which the fit rejected most corners.
     """
     gates = [
         _coverage_gate(name, coverage, fit.poses),
-        fit_gate(
-            f"{name}-residuals",
-            fit.residuals,
-            fit.rejected,
-            remedy="check columns and rows of [board], and that the images are sharp and of one "
-            "camera",
-        ),
+        _residual_gate(name, fit, left_out),
         _validation_gate(name, validation),
         _focal_gate(name, fit),
     ]
@@ -126,6 +141,22 @@ def intrinsics_gates(
             )
         )
     return tuple(gates)
+
+
+def _residual_gate(name: str, fit: LensFit, left_out: LeftOut) -> Gate:
+    """Gate on residuals; a few pictures left out whole are told, and count no rejected corners."""
+    few = len(left_out.images) <= LEFT_OUT_LIMIT * len(fit.residuals)
+    said, remedy = "", "check columns and rows of [board], and that the images are of one camera"
+    if left_out.images:
+        named = ", ".join(f'"{image}"' for image in left_out.images[:NAMED])
+        more = ", ..." if len(left_out.images) > NAMED else ""
+        said = f"{len(left_out.images)} of {len(fit.residuals)} pictures left out: {named}{more}"
+        remedy = (
+            f"look at these pictures first (blurred, turned, of another camera?) and write "
+            f"exclude = [{named}{more}] in [cameras.{name}]; if many are left out, {remedy}"
+        )
+    rejected = max(fit.rejected - left_out.corners, 0) if few else fit.rejected
+    return fit_gate(f"{name}-residuals", fit.residuals, rejected, remedy=remedy, left_out=said)
 
 
 def _coverage_gate(name: str, coverage: Coverage, poses: FloatArray) -> Gate:

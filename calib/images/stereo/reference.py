@@ -289,7 +289,8 @@ def _pairs_gate(inconsistent: tuple[str, ...], count: int) -> Gate:
         False,
         f"{len(inconsistent)} of {count} pairs do not fit the pose of C2 that the others share: "
         f"{', '.join(inconsistent)}; look whether their two pictures were taken together, of C1 "
-        "and C2 in this order, none turned, with C2 at its yaw; mend them, or leave the pairs out",
+        "and C2 in this order, none turned, with C2 at its yaw; mend them, or name one picture of "
+        "each in exclude = [...] of [stereo]",
     )
 
 

@@ -28,7 +28,7 @@ LEAST_CONTRAST: Final = 4.0
 GRADIENT_SHARE: Final = 0.35
 """Of the steepest rise: what lies below does not count for the place of the edge."""
 
-SECOND_SHARE: Final = 0.5
+SECOND_SHARE: Final = 0.4
 """A second edge as steep as this share of the first makes a profile doubtful."""
 
 APART_PX: Final = 2.5

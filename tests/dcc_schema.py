@@ -61,3 +61,20 @@ def sources(root: etree._Element) -> list[set[str]]:
         for element in lists
         if "contributions" in "".join(texts(element, "dcc:name/dcc:content"))
     ]
+
+
+def shares(root: etree._Element) -> list[list[float]]:
+    """Return the shares, per cent, in the budget of each certified depth."""
+    budgets = [
+        element
+        for element in root.iterfind(".//dcc:result/dcc:data/dcc:list", NAMES)
+        if "budget" in "".join(texts(element, "dcc:name/dcc:content"))
+    ]
+    return [
+        [
+            float(quantity.findtext("si:real/si:value", None, NAMES) or "nan")
+            for quantity in budget.iterfind("dcc:list/dcc:quantity", NAMES)
+            if texts(quantity, "dcc:name/dcc:content") == ["share of the variance"]
+        ]
+        for budget in budgets
+    ]

@@ -10,7 +10,13 @@ import numpy as np
 from calib.certificate.budgets import budgets
 from calib.certificate.data import NONE, Annex, Table
 from calib.certificate.inputs import CalibrationSummary, CertificateInputs, Provenance
-from calib.certificate.numbers import check_error, depth_line, length_result, listed_checks
+from calib.certificate.numbers import (
+    check_error,
+    covariance,
+    depth_line,
+    length_result,
+    listed_checks,
+)
 from calib.core.gate import Gate
 from calib.geometry.parameters import INDEX, PARAMETERS
 from calib.results.wording import EXTRAPOLATED, LENGTHS_NOTE, VERDICTS, clean
@@ -18,6 +24,8 @@ from calib.uncertainty.certified import CertifiedDepth, CheckedDepth
 from calib.uncertainty.depth import DepthUncertainty
 from calib.uncertainty.evidence import Evidence
 from calib.uncertainty.format import (
+    SHOWN,
+    Rounded,
     at_place,
     fixed,
     interval,
@@ -28,6 +36,7 @@ from calib.uncertainty.format import (
     with_uncertainty,
 )
 from calib.uncertainty.lengths import LengthError
+from calib.uncertainty.measurement import ParameterKnowledge
 
 
 def annexes(inputs: CertificateInputs) -> tuple[Annex, ...]:
@@ -37,6 +46,7 @@ def annexes(inputs: CertificateInputs) -> tuple[Annex, ...]:
     found = [
         budgets(
             evidence.depths,
+            mean_gaze_rad=calibration.instrument.mean_gaze_rad,
             cameras=shared is not None and shared.of_readings > 0,
             groups=shared is not None and shared.of_rows_alone > 0,
         ),
@@ -155,14 +165,15 @@ def _checks(evidence: Evidence) -> Annex | None:
     judged = any(c.conformity is not None for c in listed)
     columns = [
         "Point", "Reference / mm", "Measured / mm", "95 % interval / mm", "Error / mm", "U / mm",
-        "Error / %", *(["Conformance / %"] if judged else []), "Statement",
+        "k", "Error / %", *(["Conformance / %"] if judged else []), "Statement",
     ]  # fmt: skip
     some = f" The {len(listed)} worst are listed." if len(listed) < len(evidence.checks) else ""
     return Annex(
         title="Independent check",
         introduction=(
             f"Reference: {clean(evidence.check_reference)}. None of these points took part in the "
-            "calibration. U is the 95 % uncertainty of the error, that of the reference included."
+            "calibration. U is the 95 % uncertainty of the error, that of the reference included, "
+            "by the larger side of the interval; k = U / u."
             f"{some}"
         ),
         tables=(
@@ -193,6 +204,7 @@ def _check_row(c: CheckedDepth, *, judged: bool) -> tuple[str, ...]:
         f"{low} to {high if finite else '∞'}",
         error.value,
         with_uncertainty(0.0, expanded).uncertainty if finite else "∞",
+        error.coverage_factor or NONE,
         fixed(100 * (c.z_mm / c.reference_mm - 1), 2),
         *([NONE if c.conformity is None else percent_down(c.conformity.probability)] * judged),
         statement,
@@ -208,7 +220,7 @@ def _lengths(evidence: Evidence) -> Annex | None:
         tables=(
             Table(
                 title="Measured against reference lengths",
-                columns=("Length", "Reference / mm", "Measured / mm", "Error / mm", "U / mm"),
+                columns=("Length", "Reference / mm", "Measured / mm", "Error / mm", "U / mm", "k"),
                 rows=tuple(_length_row(e) for e in evidence.lengths),
                 note=length_limit_words(evidence),
             ),
@@ -224,6 +236,7 @@ def _length_row(e: LengthError) -> tuple[str, ...]:
         at_place(e.measured_mm, uncertainty=e.standard_uncertainty_mm),
         error.value,
         with_uncertainty(0.0, e.expanded_uncertainty_mm).uncertainty,
+        error.coverage_factor or NONE,
     )
 
 
@@ -253,15 +266,46 @@ def _correlations(calibration: CalibrationSummary) -> Annex:
         (symbols[i], *(fixed(float(r[i, j]), 5) for j in range(len(symbols))))
         for i in range(len(symbols))
     )
+    m = covariance(p)
+    covered = tuple(
+        (symbol, *(_mantissa(cell) for cell in row))
+        for symbol, row in zip(symbols, m.rows, strict=True)
+    )
+    units = ", ".join(f"{s} in {u}" for s, u in zip(symbols, m.units, strict=True))
     return Annex(
-        title="Correlation of the parameters",
+        title="Parameters: estimates and covariance",
         introduction=(
             "Parameters of one calibration must be used together: with their standard "
             "uncertainties alone a depth would come out with an uncertainty far too large or far "
-            "too small. The covariance itself is in the digital certificate."
+            "too small. The digital certificate has the covariance with ten digits."
         ),
-        tables=(Table(title="Correlation coefficients", columns=("", *symbols), rows=rows),),
+        tables=(
+            Table(
+                title="Estimate, standard uncertainty and covariance",
+                columns=("", "Estimate", "u", *symbols),
+                rows=tuple(
+                    (head, both.value, both.uncertainty, *cells)
+                    for (head, *cells), both in zip(covered, _estimates(p), strict=True)
+                ),
+                note=f"{units}; covariances in the products of these units.",
+            ),
+            Table(title="Correlation coefficients", columns=("", *symbols), rows=rows),
+        ),
     )
+
+
+def _estimates(p: ParameterKnowledge) -> list[Rounded]:
+    scale = [SHOWN[PARAMETERS[INDEX[name]].unit].factor for name in p.names]
+    u = np.sqrt(np.diag(p.covariance))
+    return [
+        with_uncertainty(float(f * v), float(f * s))
+        for f, v, s in zip(scale, p.values, u, strict=True)
+    ]
+
+
+def _mantissa(cell: str) -> str:
+    """Return a covariance with seven digits, which keep the matrix positive definite."""
+    return f"{float(cell):.6e}"
 
 
 def _provenance(p: Provenance, gates: Sequence[Gate]) -> Annex:

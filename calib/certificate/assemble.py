@@ -13,9 +13,10 @@ from calib.certificate.inputs import (
 from calib.dataset.manifest import Certificate, Manifest, Rig
 from calib.instrument.calibrated import CalibratedInstrument
 from calib.results.calibration import Calibration, GazeResult
-from calib.results.fits_document import effective_baseline
+from calib.results.fits_document import effective_baseline, effective_interval
 from calib.stages.provenance import Provenance as RunProvenance
 from calib.uncertainty.evidence import Evidence
+from calib.uncertainty.montecarlo import Interval
 
 NOT_GIVEN = "not stated"
 """The manifest's own word where no reference is named."""
@@ -77,6 +78,9 @@ def _summary(
     fit = gaze.robust[calibrated.model]
     p = calibrated.instrument.parameters
     derived = effective_baseline(p.names, p.values, p.covariance)
+    interval = None
+    if p.draws is not None and (ends := effective_interval(p.names, p.draws)) is not None:
+        interval = Interval(*ends)
     low, high = calibrated.calibrated_mm
     return CalibrationSummary(
         model=calibrated.model,
@@ -90,7 +94,7 @@ def _summary(
         noise_factor=calibrated.noise_factor,
         derived=()
         if derived is None
-        else (Derived("L_b + e", "baseline seen at 90°", "mm", *derived),),
+        else (Derived("L_b + e", "baseline seen at 90°", "mm", *derived, interval),),
         intrinsics=_intrinsics(manifest),
     )
 

@@ -5,36 +5,39 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from calib.certificate.data import NONE, Annex, Table
-from calib.certificate.numbers import depth_line, symbol
-from calib.geometry.parameters import INDEX
+from calib.certificate.budget_lines import budget_lines, count
+from calib.certificate.data import NONE, Annex, BudgetLine, Table
+from calib.certificate.numbers import depth_line
+from calib.geometry.parameters import GAZED_BASELINE
 from calib.results.wording import CAMERA_LINES, GROUP_LINE
-from calib.uncertainty.budget import Budget, BudgetRow, CorrelationRow
+from calib.uncertainty.budget import Budget
 from calib.uncertainty.certified import CertifiedDepth
 from calib.uncertainty.depth import DepthUncertainty
-from calib.uncertainty.format import SHOWN, fixed, significant, with_uncertainty
+from calib.uncertainty.format import fixed, with_uncertainty
 from calib.uncertainty.measurement import PARAMETERS_LABEL
 
-NEARLY_ONE = 0.99
-"""Correlations beyond it are printed with more digits."""
-
 SLIGHT_PERCENT = 0.05
-"""Inputs and pairs with a smaller share, which would print as 0.0, are summed in one row."""
+"""Inputs with a smaller share, which would print as 0.0, are summed in one row."""
 
 
-def budgets(depths: Sequence[CertifiedDepth], *, cameras: bool, groups: bool) -> Annex | None:
+def budgets(
+    depths: Sequence[CertifiedDepth], *, mean_gaze_rad: float, cameras: bool, groups: bool
+) -> Annex | None:
     """Return the budgets.
 
     Parameters
     ----------
+    mean_gaze_rad
+        Reading at which the effective baseline is taken.
     cameras, groups
         Whether intrinsics or pose, and reference depths of several rows, have a line in them.
     """
     if not depths:
         return None
     introduction = (
-        "JCGM 100. Sensitivities are derivatives of depth at the stated ray. A correlated pair has "
-        "a row of its own, negative where errors cancel. Shares add up to 100 % before rounding."
+        "JCGM 100. Sensitivities are derivatives of depth at the stated ray; shares add up to "
+        "100 % before rounding. "
+        f"{_combined(depths[0].result.budget, mean_gaze_rad)}"
     )
     freedoms = dict.fromkeys(_freedom(d.result.budget) for d in depths)
     said = [introduction, *([CAMERA_LINES] if cameras else []), *([GROUP_LINE] if groups else [])]
@@ -48,6 +51,23 @@ def budgets(depths: Sequence[CertifiedDepth], *, cameras: bool, groups: bool) ->
             _sources(depths),
             *(_budget(d.result, note) for d, note in zip(depths, notes, strict=True)),
         ),
+    )
+
+
+def _combined(b: Budget, mean_gaze_rad: float) -> str:
+    """Return in which combinations the parameters enter."""
+    names = [row.input.name for row in b.rows]
+    first = ""
+    if GAZED_BASELINE in names:
+        first = (
+            f"the effective baseline at the mean gaze of the calibration rows, "
+            f"α = {fixed(math.degrees(mean_gaze_rad), 1)}°, and "
+        )
+    return (
+        "The parameters enter by quantities that are independent of each other: "
+        f"{first}what remains uncertain of each parameter once the lines above it are known; the "
+        "sensitivity is that along such a quantity, which those below it follow. The "
+        "parameters as such have their covariance in the annex of the parameters."
     )
 
 
@@ -70,7 +90,7 @@ def _sources(depths: Sequence[CertifiedDepth]) -> Table:
 
 def _budget(r: DepthUncertainty, note: str) -> Table:
     b = r.budget
-    rows = [*_input_rows(b.rows), *_pair_rows(b.correlations)]
+    rows = _rows(budget_lines(b))
     u = with_uncertainty(b.estimate, b.standard_uncertainty)
     rows.append(("depth z", f"{u.value} mm", f"{u.uncertainty} mm", *[NONE] * 5, "100.0"))
     return Table(
@@ -85,75 +105,44 @@ def _budget(r: DepthUncertainty, note: str) -> Table:
     )  # fmt: skip
 
 
-def _input_rows(inputs: Sequence[BudgetRow]) -> list[tuple[str, ...]]:
-    """Return a row an input; those without weight share one, unless they are parameters."""
-    weighty = [r.share_percent >= SLIGHT_PERCENT or r.input.name in INDEX for r in inputs]
-    rows = [_budget_row(r) for r, shown in zip(inputs, weighty, strict=True) if shown]
-    rest = [r.share_percent for r, shown in zip(inputs, weighty, strict=True) if not shown]
-    return [*rows, *_further(rest, "input")]
+def _rows(lines: Sequence[BudgetLine]) -> list[tuple[str, ...]]:
+    """Return a row a line; those without weight share one, unless they are parameters."""
+    slight = [li for li in lines if li.share_percent < SLIGHT_PERCENT and not li.of_parameters]
+    rows = [_row(line) for line in lines if line not in slight]
+    if slight:
+        words = f"{len(slight)} further input{'s' * (len(slight) > 1)}"
+        share = sum(line.share_percent for line in slight)
+        rows.append((words, *[NONE] * 7, fixed(share, 1)))
+    return rows
 
 
-def _further(shares: Sequence[float], what: str) -> list[tuple[str, ...]]:
-    """Return one row for all that is too slight for its own, if there is any."""
-    if not shares:
-        return []
-    words = f"{len(shares)} further {what}{'s' * (len(shares) > 1)}"
-    return [(words, *[NONE] * 7, fixed(sum(shares), 1))]
-
-
-def _pair_rows(pairs: Sequence[CorrelationRow]) -> list[tuple[str, ...]]:
-    """Return a row a pair; those without weight share one."""
-    rows = []
-    for pair in pairs:
-        if abs(pair.share_percent) >= SLIGHT_PERCENT:
-            both = f"r({symbol(pair.first)}, {symbol(pair.second)})"
-            share = fixed(pair.share_percent, 1)
-            rows.append((both, _coefficient(pair.correlation), *[NONE] * 6, share))
-    rest = [p.share_percent for p in pairs if abs(p.share_percent) < SLIGHT_PERCENT]
-    return [*rows, *_further(rest, "pair")]
-
-
-def _budget_row(row: BudgetRow) -> tuple[str, ...]:
-    q, shown = row.input, SHOWN[row.input.unit]
-    both = with_uncertainty(q.estimate * shown.factor, q.standard_uncertainty * shown.factor)
-    unit = "" if shown.unit == "1" else f" {shown.unit}"
-    per = "mm" if shown.unit == "1" else f"mm/{shown.unit}"
+def _row(line: BudgetLine) -> tuple[str, ...]:
+    unit = "" if line.unit == "1" else f" {line.unit}"
+    per = "mm" if line.unit == "1" else f"mm/{line.unit}"
     return (
-        symbol(q.name),
-        both.value + unit,
-        both.uncertainty + unit,
-        q.evaluation,
-        q.distribution,
-        _count(q.degrees_of_freedom),
-        f"{significant(q.sensitivity / shown.factor)} {per}",
-        significant(row.contribution),
-        fixed(row.share_percent, 1),
+        line.quantity,
+        line.estimate + unit,
+        line.standard_uncertainty + unit,
+        line.evaluation,
+        line.distribution,
+        line.freedom,
+        f"{line.sensitivity} {per}",
+        line.contribution,
+        line.share,
     )
 
 
-def _coefficient(r: float) -> str:
-    """Return a correlation coefficient; near one the distance from one is what matters."""
-    return fixed(r, 5 if abs(r) > NEARLY_ONE else 3)
-
-
-def _count(freedom: float | None) -> str:
-    """Return degrees of freedom, rounded down."""
-    if freedom is None:
-        return NONE
-    return "∞" if math.isinf(freedom) else str(math.floor(freedom + 1e-9))
-
-
 def _together(b: Budget) -> str:
-    """Return the share of the parameters as a whole: those of each may be huge."""
+    """Return the share of the parameters as a whole."""
     part = dict(b.sources).get(PARAMETERS_LABEL, 0.0)
     share = fixed(100 * (part / b.standard_uncertainty) ** 2, 1)
-    return f"The parameters with their correlations: {share} %."
+    return f"The parameters together: {share} %."
 
 
 def _freedom(b: Budget) -> str:
     if b.coverage_factor is None or b.degrees_of_freedom is None:
         return f"Effective degrees of freedom {b.freedom_note}; no coverage factor is given."
     return (
-        f"Effective degrees of freedom {_count(b.degrees_of_freedom)} ({b.freedom_note}); "
+        f"Effective degrees of freedom {count(b.degrees_of_freedom)} ({b.freedom_note}); "
         f"k = {fixed(b.coverage_factor, 2)} for 95 %."
     )

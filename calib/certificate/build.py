@@ -26,6 +26,7 @@ from calib.results.wording import (
     LINEAR_MEANING,
     MODELS,
     MONTE_CARLO_MEANING,
+    NEXT_CALIBRATION,
     NO_ACCREDITATION,
     NO_TOLERANCE,
     NOT_STATED,
@@ -107,7 +108,7 @@ def build_certificate(inputs: CertificateInputs) -> CertificateData:
         length_summary=length_limit_words(evidence) or None,
         checks=tuple(_check(c) for c in listed_checks(evidence.checks)),
         lengths=tuple(length_result(e) for e in evidence.lengths),
-        statements=_statements(evidence.depths),
+        statements=_statements(evidence.depths, a.next_calibration),
         figure=depth_figure(
             evidence.depths, calibrated_mm=calibration.calibrated_mm, tolerance=tolerance
         ),
@@ -308,15 +309,20 @@ def _errors(where: str, checks: Sequence[CheckedDepth]) -> str:
     )
 
 
-def _statements(depths: Sequence[CertifiedDepth]) -> tuple[Entry, ...]:
+def _statements(
+    depths: Sequence[CertifiedDepth], next_calibration: str | None
+) -> tuple[Entry, ...]:
     meanings = []
     if any(d.result.linear_valid for d in depths):
         meanings.append(LINEAR_MEANING)
     if any(not d.result.linear_valid for d in depths):
         meanings.append(MONTE_CARLO_MEANING)
+    # Only where the customer wants one: ISO/IEC 17025:2017, 7.8.4.3.
+    date = () if next_calibration is None else (Entry(NEXT_CALIBRATION, clean(next_calibration)),)
     return (
         Entry("Uncertainty", " ".join([ONE_READING, *meanings])),
         Entry("Validity", f"{RELATES} {STABILITY} {ADJUSTMENT}"),
+        *date,
         Entry("Reproduction", REPRODUCTION),
         Entry("Accreditation", NO_ACCREDITATION),
     )

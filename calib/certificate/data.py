@@ -35,7 +35,10 @@ class Result:
     value, standard_uncertainty
         The latter None where none exists.
     expanded_uncertainty, coverage_factor
-        Both or neither.
+        U and k; None where there is no interval, k also where no u exists.
+    from_interval
+        Whether U is half the interval and k = U / u, as from the Monte Carlo distribution; else U
+        is k u and the interval value ± U.
     low, high
         Ends of the 95 % interval; None where none is stated.
     remark
@@ -49,6 +52,7 @@ class Result:
     standard_uncertainty: str | None
     expanded_uncertainty: str | None
     coverage_factor: str | None
+    from_interval: bool
     low: str | None
     high: str | None
     remark: str
@@ -96,6 +100,43 @@ class Judgement:
 
 
 @dataclass(frozen=True)
+class BudgetLine:
+    """A line of an uncertainty budget of a length in mm.
+
+    Parameters
+    ----------
+    quantity, unit
+        As printed; "mm", "mrad" or "1".
+    estimate, standard_uncertainty
+        In `unit`.
+    evaluation, distribution, freedom
+        Type A or B, name, degrees of freedom.
+    sensitivity, contribution, share
+        mm per `unit`; mm; per cent.
+    numbers
+        Sensitivity and contribution with as many digits, as programs read them.
+    of_parameters
+        Whether it is one of the parameters, which have lines however small their shares are.
+    share_percent
+        The share, not rounded.
+    """
+
+    quantity: str
+    unit: str
+    estimate: str
+    standard_uncertainty: str
+    evaluation: str
+    distribution: str
+    freedom: str
+    sensitivity: str
+    contribution: str
+    share: str
+    numbers: tuple[str, str]
+    of_parameters: bool
+    share_percent: float
+
+
+@dataclass(frozen=True)
 class DepthLine:
     """A certified depth.
 
@@ -115,6 +156,8 @@ class DepthLine:
         Position.
     contributions
         Sources of the standard uncertainty by the linear law, each with its contribution, mm.
+    budget
+        Its lines.
     """
 
     depth: Result
@@ -124,6 +167,7 @@ class DepthLine:
     extrapolated: bool
     region: Region
     contributions: tuple[Entry, ...]
+    budget: tuple[BudgetLine, ...]
 
 
 @dataclass(frozen=True)

@@ -1,30 +1,23 @@
 """The certificate as a PTB Digital Calibration Certificate, version 3.3.0 (https://ptb.de/dcc).
 
 Numbers are those of the other forms, digit for digit; covariances alone have more, since programs
-invert them. The HTML form is embedded as the document for people.
+invert them. The HTML form is embedded as the document for people; a style sheet shows the XML
+itself as a page.
 """
 
 from __future__ import annotations
 
 import base64
-from collections.abc import Sequence
+from importlib.resources import files
 
 from lxml import etree
 
-from calib.certificate.data import (
-    CertificateData,
-    DepthLine,
-    Entry,
-    Judgement,
-    Matrix,
-    Region,
-    Result,
-)
-from calib.certificate.elements import LANGUAGE, UNITS, Content, dcc, rich_text, si
-from calib.results.wording import METHOD_REFERENCE, NORMS, NOT_STATED
+from calib.certificate.data import CertificateData
+from calib.certificate.dcc_results import results
+from calib.certificate.elements import LANGUAGE, Content, dcc, rich_text, software
+from calib.results.wording import NOT_STATED
 
 VERSION = "3.3.0"
-COVERAGE = "0.95"
 
 
 def render_dcc(data: CertificateData, *, html: str) -> bytes:
@@ -32,13 +25,25 @@ def render_dcc(data: CertificateData, *, html: str) -> bytes:
     root = dcc(
         "digitalCalibrationCertificate",
         _administration(data),
-        _results(data),
+        results(data),
         _document(data, html),
         schemaVersion=VERSION,
     )
     etree.cleanup_namespaces(root)
     etree.indent(root)
-    return etree.tostring(root, xml_declaration=True, encoding="UTF-8")
+    root.addprevious(etree.ProcessingInstruction("xml-stylesheet", _stylesheet()))
+    return etree.tostring(root.getroottree(), xml_declaration=True, encoding="UTF-8")
+
+
+def _stylesheet() -> str:
+    """Return what lets a browser show the XML as a page.
+
+    CSS, not XSLT, which browsers are giving up and refuse for local files; and in the file itself:
+    the XML stays one file.
+    """
+    css = files("calib.certificate").joinpath("templates/dcc.css").read_bytes()
+    encoded = base64.b64encode(css).decode("ascii")
+    return f'type="text/css" href="data:text/css;base64,{encoded}"'
 
 
 def _document(data: CertificateData, html: str) -> Content:
@@ -54,23 +59,13 @@ def _document(data: CertificateData, html: str) -> Content:
 def _administration(d: CertificateData) -> Content:
     return dcc(
         "administrativeData",
-        _software("dccSoftware", d.software[:1]),
+        software("dccSoftware", d.software[:1]),
         _core(d),
         dcc("items", _item(d)),
         dcc("calibrationLaboratory", _contact("contact", d.laboratory, d.address, d.country)),
         _persons(d),
         _contact("customer", d.customer, None, None),
         dcc("statements", *_statements(d)),
-    )
-
-
-def _software(tag: str, software: Sequence[tuple[str, str]]) -> Content:
-    return dcc(
-        tag,
-        *(
-            dcc("software", rich_text("name", name), dcc("release", text=version))
-            for name, version in software
-        ),
     )
 
 
@@ -168,7 +163,9 @@ def _statements(d: CertificateData) -> list[Content]:
         said.append(("Country", f"{NOT_STATED}; ZZ is a user-assigned code"))
     statements = [_statement(name, words) for name, words in said]
     tolerance = "" if d.tolerance is None else f" Tolerance {d.tolerance}."
-    conclusion = _statement("Conformity", f"{d.conclusion.words}.{tolerance} {d.rule}")
+    said_once = "" if d.conclusion.words == d.rule else f" {d.rule}"
+    words = d.conclusion.words.rstrip(".")
+    conclusion = _statement("Conformity", f"{words}.{tolerance}{said_once}")
     if d.conclusion.verdict is not None:
         conclusion.append(dcc("conformity", text=d.conclusion.verdict))
     return [*statements, conclusion]
@@ -182,196 +179,3 @@ def _dated(d: CertificateData) -> str:
 
 def _statement(name: str, words: str) -> Content:
     return dcc("statement", rich_text("name", name), rich_text("declaration", words))
-
-
-def _results(d: CertificateData) -> Content:
-    results = [_measurement("Parameters of the instrument", _parameters(d))]
-    if d.depths:
-        results.append(_measurement("Depth", [_depth(line) for line in d.depths]))
-    if d.checks:
-        found = [_checked(error, judged) for error, judged in d.checks]
-        results.append(_measurement("Independent check of depth", found, d.check_summary))
-    if d.lengths:
-        found = [_result(e.name, e.meaning, _quantity(e)) for e in d.lengths]
-        results.append(_measurement("Error of length", found, d.length_summary))
-    return dcc(
-        "measurementResults",
-        dcc("usedMethods", _method(d)),
-        _software("usedSoftware", d.software),
-        dcc("influenceConditions", *_conditions(d)),
-        *results,
-    )
-
-
-def _method(d: CertificateData) -> Content:
-    return dcc(
-        "usedMethod",
-        rich_text("name", "Calibration of active gazing"),
-        rich_text("description", d.method),
-        *(dcc("norm", text=norm) for norm in NORMS),
-        dcc("reference", text=METHOD_REFERENCE),
-    )
-
-
-def _conditions(d: CertificateData) -> list[Content]:
-    return [
-        dcc("influenceCondition", rich_text("name", name), dcc("data", _condition(value, unit)))
-        for name, value, unit in (
-            ("temperature", d.temperature_c, "°C"),
-            ("relative humidity", d.humidity_percent, "%"),
-        )
-    ]
-
-
-def _condition(value: str | None, unit: str) -> Content:
-    if value is None:
-        return dcc("quantity", rich_text("noQuantity", NOT_STATED))
-    return dcc("quantity", si("real", si("value", text=value), si("unit", text=UNITS[unit])))
-
-
-def _measurement(name: str, results: Sequence[Content], words: str | None = None) -> Content:
-    described = [] if words is None else [rich_text("description", words)]
-    return dcc("measurementResult", rich_text("name", name), *described, dcc("results", *results))
-
-
-def _result(name: str, words: str, *data: Content) -> Content:
-    return dcc(
-        "result", rich_text("name", name), rich_text("description", words), dcc("data", *data)
-    )
-
-
-def _parameters(d: CertificateData) -> list[Content]:
-    found = [_result(p.name, f"{p.meaning}; {p.remark}", _quantity(p)) for p in d.parameters]
-    return [*found, _matrix(d.covariance)]
-
-
-def _matrix(m: Matrix) -> Content:
-    """Return a covariance matrix as a list of its rows, each with its units."""
-    rows = [
-        dcc(
-            "quantity",
-            rich_text("name", name),
-            si(
-                "realListXMLList",
-                si("valueXMLList", text=" ".join(row)),
-                si("unitXMLList", text=" ".join(UNITS[m.units[i]] + UNITS[u] for u in m.units)),
-            ),
-        )
-        for i, (name, row) in enumerate(zip(m.names, m.rows, strict=True))
-    ]
-    words = f"rows and columns: {', '.join(m.names)}"
-    return _result("Covariance of the parameters", words, dcc("list", *rows))
-
-
-def _quantity(r: Result, judged: Judgement | None = None) -> Content:
-    metadata = [] if judged is None else [dcc("measurementMetaData", _judged(judged))]
-    return dcc("quantity", rich_text("name", r.name), _real(r), *metadata)
-
-
-def _real(r: Result) -> Content:
-    return si(
-        "real",
-        si("value", text=r.value),
-        si("unit", text=UNITS[r.unit]),
-        *_uncertainty(r),
-    )
-
-
-def _uncertainty(r: Result) -> list[Content]:
-    if r.expanded_uncertainty is not None and r.coverage_factor is not None:
-        stated = si(
-            "expandedMU",
-            si("valueExpandedMU", text=r.expanded_uncertainty),
-            si("coverageFactor", text=r.coverage_factor),
-            si("coverageProbability", text=COVERAGE),
-        )
-    elif r.low is not None and r.high is not None:
-        stated = si(
-            "coverageIntervalMU",
-            si("valueStandardMU", text=r.standard_uncertainty or "NaN"),
-            si("intervalMin", text=r.low),
-            si("intervalMax", text=r.high),
-            si("coverageProbability", text=COVERAGE),
-        )
-    elif r.standard_uncertainty is not None:
-        stated = si("standardMU", si("valueStandardMU", text=r.standard_uncertainty))
-    else:
-        return []
-    return [si("measurementUncertaintyUnivariate", stated)]
-
-
-def _judged(j: Judgement) -> Content:
-    words = (
-        f"tolerance ±{j.limit} mm, tolerance / U {j.ratio}, probability of conformance "
-        f"{j.probability} %"
-    )
-    if j.warning is not None:
-        words += f"; {j.warning}"
-    return dcc("metaData", rich_text("declaration", words), dcc("conformity", text=j.verdict))
-
-
-def _depth(line: DepthLine) -> Content:
-    words = f"at x1c = {line.ray}; {line.depth.remark}"
-    if line.extrapolated:
-        words += "; extrapolated: outside the calibrated range"
-    return _result(
-        f"Depth {line.depth.value} mm",
-        words,
-        _quantity(line.depth, line.judgement),
-        _position(line.region),
-        _contributions(line.contributions),
-    )
-
-
-def _contributions(sources: Sequence[Entry]) -> Content:
-    return dcc(
-        "list",
-        rich_text("name", "contributions to the standard uncertainty of depth"),
-        *(
-            dcc(
-                "quantity",
-                rich_text("name", source.label),
-                si("real", si("value", text=source.value), si("unit", text=UNITS["mm"])),
-            )
-            for source in sources
-        ),
-    )
-
-
-def _position(region: Region) -> Content:
-    unit = UNITS["mm"]
-    three = f"{unit} {unit} {unit}"
-    squared = f"{unit}\\tothe{{2}}"
-    columns = [
-        si(
-            "columnXMLList",
-            si(
-                "covarianceXMLList",
-                si("valueXMLList", text=" ".join(column)),
-                si("unitXMLList", text=" ".join([squared] * 3)),
-            ),
-        )
-        for column in region.covariance
-    ]
-    return dcc(
-        "quantity",
-        rich_text("name", "position x, y, z"),
-        si(
-            "realListXMLList",
-            si("valueXMLList", text=" ".join(region.position)),
-            si("unitXMLList", text=three),
-            si(
-                "measurementUncertaintyMultivariateXMLList",
-                si(
-                    "ellipsoidalRegionMUXMLList",
-                    si("covarianceMatrixXMLList", *columns),
-                    si("coverageFactorXMLList", text=region.coverage_factor),
-                    si("coverageProbabilityXMLList", text=COVERAGE),
-                ),
-            ),
-        ),
-    )
-
-
-def _checked(error: Result, judged: Judgement | None) -> Content:
-    return _result(f"Point {error.name}", error.meaning, _quantity(error, judged))

@@ -44,3 +44,14 @@ def _element(
 def rich_text(tag: str, words: str) -> Content:
     """Return a text or rich content of one paragraph."""
     return dcc(tag, dcc("content", text=words, lang=LANGUAGE))
+
+
+def software(tag: str, programs: Iterable[tuple[str, str]]) -> Content:
+    """Return the names and releases of programs."""
+    return dcc(
+        tag,
+        *(
+            dcc("software", rich_text("name", name), dcc("release", text=version))
+            for name, version in programs
+        ),
+    )

@@ -8,6 +8,7 @@ from datetime import UTC, datetime
 from calib.core.gate import Gate
 from calib.uncertainty.evidence import Evidence
 from calib.uncertainty.measurement import Instrument
+from calib.uncertainty.montecarlo import Interval
 
 PREFIX = "AG"
 """Identifiers start with it: active gazing."""
@@ -39,6 +40,8 @@ class Administration:
         Two capitals, ISO 3166-1, for the DCC.
     replaces, amendment
         Identifier of the certificate this one replaces, and why.
+    next_calibration
+        Recommended date (ISO 8601), only where the customer has asked for one.
     """
 
     laboratory: str | None = None
@@ -58,6 +61,7 @@ class Administration:
     country: str | None = None
     replaces: str | None = None
     amendment: str | None = None
+    next_calibration: str | None = None
 
 
 @dataclass(frozen=True)
@@ -100,13 +104,24 @@ class Provenance:
 
 @dataclass(frozen=True)
 class Derived:
-    """A quantity that follows from the parameters: name, meaning, value and u in `unit`."""
+    """A quantity that follows from the parameters.
+
+    Parameters
+    ----------
+    name, meaning, unit
+        As printed.
+    value, std
+        With its standard uncertainty, in `unit`.
+    interval
+        Its 95 % interval, in `unit`; None where there are no draws of the parameters.
+    """
 
     name: str
     meaning: str
     unit: str
     value: float
     std: float
+    interval: Interval | None = None
 
 
 @dataclass(frozen=True)

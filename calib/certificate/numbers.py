@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from calib.certificate.budget_lines import budget_lines, symbol
 from calib.certificate.data import DepthLine, Entry, Judgement, Matrix, Region, Result
 from calib.certificate.inputs import CalibrationSummary
 from calib.geometry.parameters import INDEX, PARAMETERS
@@ -24,6 +25,7 @@ from calib.uncertainty.format import (
     plain,
     significant,
     upwards,
+    upwards_to,
     with_uncertainty,
 )
 from calib.uncertainty.lengths import LengthError
@@ -67,7 +69,8 @@ def result(
     factor
         None where no coverage factor is valid; else the interval is value ± factor u.
     stated
-        95 % interval; None if none is stated. It is the one printed where there is no `factor`.
+        95 % interval; None if none is stated. Where there is no `factor` it is the one printed;
+        U is then half of it, rounded up, and k = U / u.
     """
     scale = SHOWN[unit].factor
     value *= scale
@@ -85,6 +88,9 @@ def result(
         low = high = None
         if stated is not None:
             low, high = interval(stated.low * scale, stated.high * scale, uncertainty=place)
+            half = (stated.high - stated.low) * scale / 2
+            expanded = upwards_to(half, uncertainty=place)
+            k = None if u is None else fixed(half / u, 2)
     return Result(
         name=name,
         meaning=meaning,
@@ -93,6 +99,7 @@ def result(
         standard_uncertainty=None if u is None else with_uncertainty(0.0, u).uncertainty,
         expanded_uncertainty=expanded,
         coverage_factor=k,
+        from_interval=factor is None or u is None,
         low=low,
         high=high,
         remark=remark,
@@ -124,6 +131,7 @@ def depth_line(certified: CertifiedDepth) -> DepthLine:
             Entry(symbol(name), at_place(part, uncertainty=r.budget.standard_uncertainty / 10))
             for name, part in r.budget.sources
         ),
+        budget=budget_lines(r.budget),
     )
 
 
@@ -165,13 +173,6 @@ def _region(p: PositionUncertainty) -> Region:
     )
 
 
-def symbol(name: str) -> str:
-    """Return the symbol of a parameter, or the name of another input."""
-    if name in INDEX:
-        return PARAMETERS[INDEX[name]].symbol
-    return name.replace("alpha2", "α2")
-
-
 def parameter_results(calibration: CalibrationSummary) -> tuple[Result, ...]:
     """Return the parameters and what follows from them."""
     p = calibration.instrument.parameters
@@ -198,8 +199,8 @@ def parameter_results(calibration: CalibrationSummary) -> tuple[Result, ...]:
             value=d.value,
             u=d.std,
             factor=_factor(p),
-            stated=None,
-            remark="derived",
+            stated=d.interval,
+            remark="derived" if d.interval is None else "derived; equal tails",
         )
         for d in calibration.derived
     ]

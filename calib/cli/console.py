@@ -59,6 +59,8 @@ def summary(out: Path) -> tuple[str, bool]:
             by_prior = estimate.get("identified_by") == "prior"
             decided = " (identified by prior knowledge)" if by_prior else ""
             figures = f"{estimate['value']:12.5g} +- {estimate['std']:.2g}"
+            if "q2.5" in estimate and name in fit.get("derived", {}):
+                figures += f" (95 %: {estimate['q2.5']:.5g} to {estimate['q97.5']:.5g})"
             lines.append(f"  {name:24s} {figures}{decided}")
     failed = [gate for gate in result["gates"] if not gate["passed"]]
     lines += [f"GATE FAILED  {gate['name']}: {gate['detail']}" for gate in failed]

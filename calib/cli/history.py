@@ -8,6 +8,7 @@ import sys
 from datetime import date
 from pathlib import Path
 
+from calib.cli.acceptance import DONE, GATE_FAILED, add_acceptance, warn_of_failed
 from calib.cli.arguments import add_input, add_output, positive
 from calib.core.errors import harmless
 from calib.stages.output_guard import OutputKind
@@ -21,6 +22,12 @@ INDEX = OutputKind(is_folder=False, marks=(b"SQLite format 3\0",))
 MARK = b'data-generator="calib history chart" '
 CHART = OutputKind(is_folder=False, marks=(MARK,))
 """Known by its generator."""
+
+RECORD = OutputKind(is_folder=False, marks=(b'content="calib history check"',))
+"""Known by its generator."""
+
+SESSIONS = 5
+"""At acceptance. A session costs minutes, and the more there are the less their error hides."""
 
 FLEET = "index.html"
 PAGES = OutputKind(is_folder=True, marks=(FLEET,))
@@ -58,6 +65,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     _accepted(add)
     _index(add)
     add.set_defaults(run=_run_page)
+
+    add = commands.add_parser("check", help="a check standard measured between calibrations")
+    add_input(add, "calibration", metavar="CALIBRATION.json")
+    add_input(add, "standard", metavar="STANDARD.toml", help="certified lengths and depths")
+    add_input(add, "readings", metavar="READINGS.csv", help="date, and the columns of measure")
+    add_output(add, "--out", kind=RECORD, metavar="HTML", help="page to write; default: none")
+    add.add_argument(
+        "--accepted",
+        type=positive,
+        metavar="N",
+        help="sessions that make the reference; default: 5",
+    )
+    add_acceptance(add)
+    add.set_defaults(run=_run_check)
 
     add = commands.add_parser("due", help="when a rig is due for its next calibration")
     add.add_argument("rig", metavar="RIG", help="serial number")
@@ -151,6 +172,7 @@ def _run_chart(arguments: argparse.Namespace) -> int:
     from calib.core.errors import InputError
     from calib.history.figure import chart_figure
     from calib.history.index import history
+    from calib.history.quantities import series
     from calib.history.summary import ACCEPTED
     from calib.report.plotting import svg
     from calib.stages.store import write_bytes
@@ -163,7 +185,7 @@ def _run_chart(arguments: argparse.Namespace) -> int:
             what=f"has {len(entries)} calibrations, of which {accepted} make the reference",
             remedy="calibrate it again, or give a smaller --accepted",
         )
-    picture = svg(chart_figure(entries, accepted=accepted))
+    picture = svg(chart_figure(series(entries), accepted=accepted))
     write_bytes(arguments.out, picture.replace(b"<svg ", b"<svg " + MARK, 1))
     print(f"{harmless(str(arguments.out))}: written")
     return 0
@@ -202,3 +224,36 @@ def _run_page(arguments: argparse.Namespace) -> int:
     write_bytes(arguments.out / FLEET, fleet_page(fleet, **asked).encode())
     print(f"{harmless(str(arguments.out / FLEET))}: written")
     return 0
+
+
+def _run_check(arguments: argparse.Namespace) -> int:
+    from calib.history.output import text
+    from calib.history.read_standard import read_standard
+    from calib.history.standard import check_standard
+    from calib.history.standard_text import findings, page, table
+    from calib.instrument.calibration_file import read_calibration
+    from calib.instrument.measuring import table_text
+    from calib.stages.store import write_bytes
+
+    measuring = read_calibration(arguments.calibration, allow_edited=arguments.allow_edited)
+    minded = warn_of_failed(
+        arguments.calibration, measuring.failed_gates, accepted=arguments.accept_failed
+    )
+    standard = read_standard(arguments.standard)
+    name = str(arguments.readings)
+    checked = check_standard(
+        measuring, standard, table_text(arguments.readings, name=name), name=name
+    )
+    accepted = arguments.accepted or SESSIONS
+    title = f"Check standard {standard.serial}"
+    dates = f"{len(checked.dates)} sessions, {checked.dates[0]} to {checked.dates[-1]}"
+    sys.stdout.write(text([(f"{title}: {dates}", table(checked, accepted=accepted))]))
+    if len(checked.dates) <= accepted:
+        print(f"note: {len(checked.dates)} of {accepted} sessions at acceptance: no chart yet")
+    said = findings(checked, accepted=accepted)
+    for finding in said:
+        print(f"ALARM: {finding}")
+    if arguments.out is not None:
+        write_bytes(arguments.out, page(title, checked, accepted=accepted).encode())
+        print(f"page: {harmless(str(arguments.out))}")
+    return GATE_FAILED if said or minded else DONE

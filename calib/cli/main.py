@@ -16,9 +16,11 @@ from types import ModuleType
 from calib.cli import (
     batch,
     calibrate,
+    capture,
     check,
     compare,
     export,
+    gaze,
     history,
     measure,
     plan,
@@ -77,7 +79,11 @@ GROUPS: tuple[tuple[str, tuple[Command, ...]], ...] = (
     ),
     (
         "the rig itself",
-        (Command("rig", rig, "is the rig fit to be calibrated and measured with?"),),
+        (
+            Command("capture", capture, "rows of the rig into a dataset"),
+            Command("gaze", gaze, "turn C2 to targets and measure their positions"),
+            Command("rig", rig, "is the rig fit to be calibrated and measured with?"),
+        ),
     ),
     (
         "simulate",

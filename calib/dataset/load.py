@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path, PurePosixPath
@@ -19,6 +19,7 @@ from calib.dataset.checks import faults
 from calib.dataset.contents import Dataset
 from calib.dataset.corner_cache import read_cache
 from calib.dataset.doubts import doubts
+from calib.dataset.excluded import excluded
 from calib.dataset.faults import MANIFEST, MANIFEST_LIMIT_BYTES, parse_manifest
 from calib.dataset.folder import (
     TABLE_LIMIT_BYTES,
@@ -32,6 +33,7 @@ from calib.dataset.folder import (
 from calib.dataset.messages import shortened, shown, text_fault
 from calib.dataset.pictures import missing_sizes, picture_faults, with_sizes
 from calib.dataset.readers import Scanned, scan_gaze, scan_lengths, scan_sweep
+from calib.dataset.tables import SweepTable
 from calib.geometry.board import Board
 from calib.geometry.camera import Camera
 
@@ -132,7 +134,7 @@ class _Loading:
             sha256="",
             gaze=gaze,
             validation=validation,
-            sweep=sweep,
+            sweep=self._sweep(sweep, manifest.sweep),
             lengths=lengths,
             board=board,
             images=self._intrinsic_images(manifest, cache),
@@ -226,8 +228,18 @@ class _Loading:
             camera = manifest.camera(name)
             if camera is not None and camera.images is not None:
                 where = f"{MANIFEST}, [cameras.{name}] images"
-                images[name] = self._expand(camera.images, cache, where=where)
+                found = self._expand(camera.images, cache, where=where)
+                out = self._excluded(camera.exclude, found, section=f"cameras.{name}")
+                images[name] = tuple(image for image in found if image not in out)
         return MappingProxyType(images)
+
+    def _excluded(
+        self, names: tuple[str, ...], images: Sequence[str], *, section: str
+    ) -> frozenset[str]:
+        """Return the images of a section that its `exclude` leaves out."""
+        out, problems = excluded(names, images, where=f"{MANIFEST}, [{section}] exclude")
+        self.problems += problems
+        return out
 
     def _expand(
         self, pattern: str, cache: Mapping[str, FloatArray], *, where: str
@@ -276,7 +288,18 @@ class _Loading:
             )
         elif alone:
             self.warnings.append(f"[stereo]: {alone} image(s) without a partner are not used")
-        return MappingProxyType({stem: (first[stem], second[stem]) for stem in stems})
+        named = [image for side in sides for image in side.values()]
+        out = self._excluded(stereo.exclude, named, section="stereo")
+        pairs = {stem: (first[stem], second[stem]) for stem in stems}
+        return MappingProxyType({s: pair for s, pair in pairs.items() if not out & {*pair}})
+
+    def _sweep(self, table: SweepTable | None, section: spec.Sweep | None) -> SweepTable | None:
+        """Return the sweep without the images that are left out."""
+        if table is None or section is None or not section.exclude:
+            return table
+        images = tuple(dict.fromkeys(table.image_c2))
+        out = self._excluded(section.exclude, images, section="sweep")
+        return table.only([i for i, image in enumerate(table.image_c2) if image not in out])
 
     def _by_stem(self, images: tuple[str, ...], *, where: str) -> dict[str, str]:
         stems: dict[str, str] = {}

@@ -148,10 +148,14 @@ class Board(Section):
 
 
 class Camera(Section):
-    """One camera: images of the board, a finished model, or given intrinsics."""
+    """One camera: images of the board, a finished model, or given intrinsics.
+
+    `exclude` names images that are left out.
+    """
 
     image_size: tuple[Pixels, Pixels] | None = None
     images: Line | None = None
+    exclude: tuple[Line, ...] = ()
     model: Line | None = None
     matrix: CameraMatrix | None = None
     distortion: tuple[Number, ...] | None = None
@@ -171,6 +175,8 @@ class Camera(Section):
 
     @model_validator(mode="after")
     def _check_matrix(self) -> Camera:
+        if self.exclude and self.images is None:
+            refuse("exclude is given without images", "remove it")
         if self.distortion is not None and self.matrix is None:
             refuse("distortion is given without matrix", "give both, or neither")
         if len(self.distortion or ()) not in DISTORTION_LENGTHS:
@@ -199,10 +205,14 @@ class Cameras(Section):
 
 
 class Stereo(Section):
-    """The stereo reference: C2 held at one yaw. `transform` is 1T2, the pose of C2 in C1."""
+    """The stereo reference: C2 held at one yaw. `transform` is 1T2, the pose of C2 in C1.
+
+    `exclude` names an image of each pair that is left out.
+    """
 
     c1: Line | None = None
     c2: Line | None = None
+    exclude: tuple[Line, ...] = ()
     alpha2_deg: AngleDeg | None = None
     transform: Pose | None = None
 
@@ -217,6 +227,8 @@ class Stereo(Section):
             refuse("only one of c1 and c2 is given", "give the images of both cameras")
         if self.c1 is None and self.transform is None:
             refuse("neither image pairs nor a transform are given", "add c1 and c2, or transform")
+        if self.exclude and not self.has_images:
+            refuse("exclude is given without image pairs", "remove it")
         if self.transform is None and self.alpha2_deg is None:
             refuse("alpha2_deg is missing", "add the encoder reading while the pairs were taken")
         return self
@@ -290,9 +302,15 @@ class Validation(Section):
 
 
 class Table(Section):
-    """A section that names a table and nothing else: sweep, lengths."""
+    """A section that names a table and nothing else: lengths."""
 
     table: Line
+
+
+class Sweep(Table):
+    """The yaw sweep; `exclude` names images that are left out."""
+
+    exclude: tuple[Line, ...] = ()
 
 
 class Tolerance(Section):
@@ -305,6 +323,7 @@ class Certificate(Section):
     """What the certificate prints; "not stated" where it is silent.
 
     `replaces` is the identifier of the certificate that this one amends, `amendment` the reason.
+    `next_calibration` is for a customer who has asked for a date (ISO/IEC 17025:2017, 7.8.4.3).
     """
 
     laboratory: Line | None = None
@@ -324,6 +343,7 @@ class Certificate(Section):
     country: Country | None = None
     replaces: Line | None = None
     amendment: Prose | None = None
+    next_calibration: Day | None = None
     tolerance: Tolerance | None = None
     decision_rule: Literal["simple", "guard-band"] = "simple"
 
@@ -351,7 +371,7 @@ class Manifest(Section):
     encoder: Encoder | None = None
     gaze: Gaze | None = None
     validation: Validation | None = None
-    sweep: Table | None = None
+    sweep: Sweep | None = None
     lengths: Table | None = None
     priors: Priors = Field(default_factory=dict)
     published: Published = Field(default_factory=dict)

@@ -6,7 +6,7 @@ written to. `calib.dataset.readers` makes these tables from text.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -100,6 +100,17 @@ class SweepTable:
 
     def __len__(self) -> int:
         return len(self.ids)
+
+    def only(self, rows: Sequence[int]) -> SweepTable:
+        """Return these rows alone."""
+        return SweepTable(
+            file=self.file,
+            line=tuple(self.line[i] for i in rows),
+            ids=tuple(self.ids[i] for i in rows),
+            placements=tuple(self.placements[i] for i in rows),
+            image_c2=tuple(self.image_c2[i] for i in rows),
+            alpha2_rad=self.alpha2_rad[list(rows)],
+        )
 
 
 @dataclass(frozen=True)

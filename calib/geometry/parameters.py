@@ -136,6 +136,12 @@ NAMES: tuple[str, ...] = tuple(p.name for p in PARAMETERS)
 INDEX: Mapping[str, int] = MappingProxyType({name: i for i, name in enumerate(NAMES)})
 COUNT = len(PARAMETERS)
 
+ECCENTRICITY = "eccentricity_mm"
+
+GAZED_BASELINE = "baseline_at_mean_gaze_mm"
+"""L_b + e / sin(α), the effective baseline at the mean reading of the rows: no parameter, but what
+they determine where they cannot distinguish baseline and eccentricity."""
+
 STANDOFF = "standoff_mm"
 """Free in every model where rows have a gaze residual, the angle at C2's centre; nowhere else."""
 

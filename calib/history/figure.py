@@ -8,20 +8,18 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from calib.history.charts import charts, reference
-from calib.history.index import Entry
-from calib.history.quantities import Series, series
+from calib.history.quantities import Series
 from calib.report.plotting import BLUE, GREY, VERMILLION, in_house_style, new_figure
 
 _PANEL_IN = 1.35
 
 
 @in_house_style
-def chart_figure(entries: Sequence[Entry], *, accepted: int) -> Figure:
+def chart_figure(found: Sequence[Series], *, accepted: int) -> Figure:
     """Return the charts, a row a quantity, a column a chart, alarms in red and square.
 
-    Statistics are those of the calibrations after acceptance, over their dates.
+    Statistics are those of what came after acceptance, over their dates.
     """
-    found = series(entries)
     figure = new_figure(height_in=_PANEL_IN * len(found) + 0.9, width_in=10.0)
     figure.subplots_adjust(hspace=0.55)
     axes = figure.subplots(len(found), 3, squeeze=False, sharex=True)
@@ -36,7 +34,7 @@ def chart_figure(entries: Sequence[Entry], *, accepted: int) -> Figure:
 def _row(row: np.ndarray, one: Series, accepted: int) -> None:
     after = slice(accepted, None)
     at = reference(one.values[:accepted], one.std[:accepted])
-    when = np.array([np.datetime64(text, "D") for text in one.dates[after]])
+    when = np.array([np.datetime64(text) for text in one.dates[after]])
     for axes, chart in zip(row, charts(one.values[after], one.std[after], at), strict=True):
         out = np.abs(chart.statistic) > chart.limit
         axes.plot(when, chart.statistic, color=BLUE, marker="o", markersize=3.0)

@@ -52,7 +52,7 @@ def rig_page(entries: Sequence[Entry], *, accepted: int, tolerance_mm: float | N
     ]
     blocks.append(PlainTable("Control charts", head, [_states(row) for row in rows]))
     if len(entries) > accepted:
-        figure = chart_figure(entries, accepted=accepted)
+        figure = chart_figure(series(entries), accepted=accepted)
         blocks.append(Drawing("Charts", svg(figure).decode("utf-8")))
     blocks += _last_change(entries)
     blocks.append(_calibrations(entries))

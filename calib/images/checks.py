@@ -24,12 +24,13 @@ column or row more or less than stated misses by a good part of a square, 10 px 
 OUTLIER_SIGMAS = 5.0
 """A coordinate this many robust standard deviations off is an outlier: 1 of 10^6 normal errors."""
 
-_SIGMA_OF_MEDIAN = 1.4826
+SIGMA_OF_MEDIAN = 1.4826
+"""Standard deviation of a normal error over the median of its size."""
 
 
 def outlier_limit(residuals: FloatArray) -> float:
     """Return the size, px, at which a residual is an outlier among these; NaN are left out."""
-    return OUTLIER_SIGMAS * _SIGMA_OF_MEDIAN * float(np.nanmedian(np.abs(residuals)))
+    return OUTLIER_SIGMAS * SIGMA_OF_MEDIAN * float(np.nanmedian(np.abs(residuals)))
 
 
 def gate(name: str, passed: bool, detail: str, *, remedy: str) -> Gate:
@@ -37,8 +38,18 @@ def gate(name: str, passed: bool, detail: str, *, remedy: str) -> Gate:
     return Gate(name, bool(passed), detail if passed else f"{detail}; {remedy}")
 
 
-def fit_gate(name: str, residuals: FloatArray, rejected: int, *, remedy: str) -> Gate:
-    """Gate on the residuals, px, shape (..., 2), NaN where missing or rejected."""
+def fit_gate(
+    name: str, residuals: FloatArray, rejected: int, *, remedy: str, left_out: str = ""
+) -> Gate:
+    """Gate on the residuals, px, shape (..., 2), NaN where missing or rejected.
+
+    Parameters
+    ----------
+    rejected
+        Number of corners discarded as outliers, those of pictures left out whole not counted.
+    left_out
+        What was left out whole, in words; empty for nothing.
+    """
     kept = int(np.isfinite(residuals).sum()) // 2
     share = rejected / (kept + rejected)
     rms = float(np.sqrt(np.nanmean(residuals**2)))
@@ -46,7 +57,7 @@ def fit_gate(name: str, residuals: FloatArray, rejected: int, *, remedy: str) ->
         name,
         rms <= RMS_LIMIT_PX and share <= REJECTED_LIMIT,
         f"rms {rms:.3f} px per coordinate (limit {RMS_LIMIT_PX:g}), {100 * share:.1f} % of corners "
-        f"rejected (limit {100 * REJECTED_LIMIT:.0f})",
+        f"rejected (limit {100 * REJECTED_LIMIT:.0f}){f'; {left_out}' if left_out else ''}",
         remedy=remedy,
     )
 

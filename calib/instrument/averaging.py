@@ -111,10 +111,10 @@ def doubt_of(average: ModelAverage, table: DepthTable) -> str | None:
 
 def _without_draws(instrument: Instrument) -> Instrument:
     shared = instrument.shared
-    return Instrument(
-        replace(instrument.parameters, draws=None),
-        instrument.reading,
-        None if shared is None else replace(shared, own_draws=None),
+    return replace(
+        instrument,
+        parameters=replace(instrument.parameters, draws=None),
+        shared=None if shared is None else replace(shared, own_draws=None),
     )
 
 

@@ -145,7 +145,7 @@ def instrument_from_draws(
         )
     return CalibratedInstrument(
         model=fit.model,
-        instrument=Instrument(parameters, reading, shared),
+        instrument=Instrument(parameters, reading, shared, float(rows.alpha2_rad.mean())),
         noise_factor=factor,
         calibrated_mm=np.array([rows.z_mm.min(), rows.z_mm.max()]) + origin[0],
         setup=setup,

@@ -17,7 +17,7 @@ from calib.dataset.tables import GazeTable, LengthTable
 from calib.geometry.camera import Camera, on_centre_row, without_ray
 from calib.geometry.plane import OBSERVABLE, Gaze
 from calib.instrument.calibration_file import Measuring
-from calib.rows.from_table import observe
+from calib.rows.from_table import ImageObservations, observe
 from calib.uncertainty.measurement import Instrument, with_standoff
 from calib.uncertainty.predictive import LinearPositions, depth_sources, linear_positions
 
@@ -164,15 +164,23 @@ class Measured:
         return length, float(np.sqrt(variance))
 
 
-def measure(measuring: Measuring, table: GazeTable) -> Measured:
+def measure(
+    measuring: Measuring, table: GazeTable, seen: ImageObservations | None = None
+) -> Measured:
     """Return the positions of the points in a table of readings.
+
+    Parameters
+    ----------
+    seen
+        Where pictures show the targets, and how well, for rows whose pixels are also in the table;
+        None takes the pixels of the table with their usual uncertainty.
 
     A row that cannot be measured has NaN for numbers, and `faults` says why: its pixel lies outside
     the picture or where the lens has no ray, the calibration lacks the camera, or C1's ray and C2's
     gaze plane do not meet in front of C1.
     """
     table, faults = _usable(measuring, table)
-    rows = observe(table, measuring.setup, None)
+    rows = observe(table, measuring.setup, seen)
     loadings = rows.shared[:, : OBSERVABLE.z] if rows.shared_names else None
     # With u2 the motor's step is measured and no longer an error: rows differ.
     std = measuring.noise_factor * rows.std[:, : OBSERVABLE.z]

@@ -8,6 +8,7 @@ import numpy as np
 
 from calib.core.arrays import FloatArray
 from calib.geometry.mirror import POINT, mirror_matrix, mirror_readings, signed, signs
+from calib.geometry.parameters import GAZED_BASELINE
 from calib.instrument.averaging import ModelAverage
 from calib.instrument.calibrated import CalibratedInstrument, ValidationResult
 from calib.mirror.problem import Mirror
@@ -50,7 +51,12 @@ def mirror_instrument(instrument: Instrument, mirror: Mirror) -> Instrument:
             with_parameters=signed(shared.with_parameters, columns),
             own_draws=_draws(shared.own_draws, sign),
         )
-    return replace(instrument, parameters=_parameters(instrument.parameters), shared=shared)
+    return replace(
+        instrument,
+        parameters=_parameters(instrument.parameters),
+        shared=shared,
+        mean_gaze_rad=_reading(instrument.mean_gaze_rad),
+    )
 
 
 def _parameters(known: ParameterKnowledge) -> ParameterKnowledge:
@@ -137,6 +143,6 @@ def _quantity(name: str) -> str:
 
 
 def _input_sign(name: str) -> float:
-    if _quantity(name) in _ODD_READINGS:
+    if _quantity(name) in _ODD_READINGS or name == GAZED_BASELINE:
         return -1.0
     return float(signs([name])[0])

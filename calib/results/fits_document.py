@@ -12,6 +12,7 @@ from calib.fit.convex import ConvexFit
 from calib.fit.linear import LinearFit
 from calib.fit.posterior import Posterior
 from calib.fit.robust import RobustFit
+from calib.geometry.parameters import ECCENTRICITY
 
 
 def _estimate(names: Sequence[str], values: FloatArray, covariance: FloatArray) -> dict[str, Any]:
@@ -63,17 +64,42 @@ def effective_baseline(
 
     None for models without eccentricity.
     """
-    if "eccentricity_mm" not in names:
+    if ECCENTRICITY not in names:
         return None
-    pick = np.array([name in ("baseline_mm", "eccentricity_mm") for name in names], dtype=float)
+    pick = np.array([name in ("baseline_mm", ECCENTRICITY) for name in names], dtype=float)
     return float(pick @ values), float(np.sqrt(pick @ covariance @ pick))
 
 
-def _derived(names: Sequence[str], values: FloatArray, covariance: FloatArray) -> dict[str, Any]:
+def effective_interval(names: Sequence[str], draws: FloatArray) -> tuple[float, float] | None:
+    """Return the 95 % interval of L_b + e, mm, with equal tails.
+
+    None for models without eccentricity.
+
+    Parameters
+    ----------
+    draws
+        Of the parameters `names`, shape (m, k) or more columns.
+    """
+    if ECCENTRICITY not in names:
+        return None
+    total = draws[:, names.index("baseline_mm")] + draws[:, names.index(ECCENTRICITY)]
+    low, high = np.quantile(total, [0.025, 0.975])
+    return float(low), float(high)
+
+
+def _derived(
+    names: Sequence[str],
+    values: FloatArray,
+    covariance: FloatArray,
+    draws: FloatArray | None = None,
+) -> dict[str, Any]:
     found = effective_baseline(names, values, covariance)
     if found is None:
         return {}
-    return {"derived": {"effective_baseline_mm": {"value": found[0], "std": found[1]}}}
+    estimate = {"value": found[0], "std": found[1]}
+    if draws is not None and (ends := effective_interval(names, draws)) is not None:
+        estimate |= {"q2.5": ends[0], "q97.5": ends[1]}
+    return {"derived": {"effective_baseline_mm": estimate}}
 
 
 def robust_document(fit: RobustFit) -> dict[str, Any]:
@@ -116,7 +142,7 @@ def posterior_document(p: Posterior) -> dict[str, Any]:
     free = slice(0, len(p.names) - 1)
     return (
         document
-        | _derived(p.names[:-1], p.mean[free], p.covariance[free, free])
+        | _derived(p.names[:-1], p.mean[free], p.covariance[free, free], p.flat)
         | {
             "converged": p.converged,
             "tau": dict(zip(p.names, p.tau, strict=True)),

@@ -56,10 +56,21 @@ class Lens(Part):
     board_warp_mm: Vector | None = None
 
 
+class JointLens(Part):
+    """A joint solve of lenses and pairs that refined the intrinsics."""
+
+    images: dict[Literal["lens", "pair", "row"], int] = Field(
+        description="images of the camera by what they were taken for"
+    )
+
+
 class Intrinsics(Lens):
     """The selected intrinsics of one camera."""
 
-    source: Literal["mrcal", "opencv", "given"]
+    source: Literal["mrcal", "opencv", "given"] = Field(
+        description="whose solve of the camera's own pictures; a joint solve may have refined it"
+    )
+    joint: JointLens | None = None
     covariance: Matrix | None = None
     dispersion: float | None = None
     selection: str | None = Field(None, description="why this solve was selected, in words")
@@ -145,13 +156,20 @@ class Parameter(Estimate):
     rhat: float | None = None
 
 
+class Derived(Estimate):
+    """A quantity that follows from the parameters of a fit."""
+
+    q2_5: float | None = Field(None, alias="q2.5", description="posteriors, as q97.5")
+    q97_5: float | None = Field(None, alias="q97.5")
+
+
 class Fit(Part):
     """A fit; NAME/linear, NAME/convex, NAME/robust or NAME/posterior."""
 
     parameters: Annotated[dict[str, Parameter], Field(description=_UNITS)]
     names: list[str] = Field(description="order of the covariance")
     covariance: Matrix
-    derived: dict[str, Estimate] | None = Field(None, description="effective_baseline_mm: L_b + e")
+    derived: dict[str, Derived] | None = Field(None, description="effective_baseline_mm: L_b + e")
     residual_mrad: Vector | None = Field(None, description="angle of each row to its gaze plane")
     sigma_mrad: float | None = None
     outliers: list[str] | None = None

@@ -21,6 +21,8 @@ NO_ACCREDITATION = (
     "No accreditation is claimed: the certificate follows ISO/IEC 17025:2017, 7.8.2 and 7.8.4, in "
     "its fields, and was issued by a computer program from the data named in it."
 )
+NEXT_CALIBRATION = "Next calibration, recommended at the customer's request"
+
 STABILITY = (
     "The results hold for the state of the item on the date of calibration. Nothing is said of its "
     "long-term stability."
@@ -40,9 +42,10 @@ LINEAR_MEANING = (
     "degrees of freedom gives a coverage probability of 95 %."
 )
 MONTE_CARLO_MEANING = (
-    "Where no k is given, the interval is the shortest one of 95 % probability from the Monte "
-    "Carlo method of JCGM 101: there the first-order law of propagation has no valid coverage "
-    "factor, or clause 8 of JCGM 101 did not validate it."
+    "Where k is marked MC, the interval is the shortest one of 95 % probability from the Monte "
+    "Carlo distribution of JCGM 101, U is half of it and k = U / u: there the first-order law of "
+    "propagation has no valid coverage factor, or clause 8 of JCGM 101 did not validate it. Such "
+    "an interval need not be symmetric about the value: the interval counts."
 )
 NO_TOLERANCE = "No tolerance was stated; no statement of conformity is made."
 WITHHELD = "No statement of conformity is made, because a check of the calibration failed."
@@ -57,9 +60,8 @@ CAMERA_LINES = (
     "Intrinsics and pose of the cameras were estimated once: their errors are common to all rows "
     "and readings. Each source of them has one line, a correction of 0 mm, with what it does to "
     "the depth by parameters and reading together; the later ones stand for what the earlier do "
-    "not explain of them. Beside these lines, u of a parameter and r of two are what rows and "
-    "prior knowledge leave; with the cameras' part they are those of the tables of the parameters "
-    "and of their correlation."
+    "not explain of them. Beside these lines, u of a parameter is what rows and prior knowledge "
+    "leave; the table of the parameters and their covariance hold the cameras' part as well."
 )
 
 GROUP_LINE = (

@@ -51,6 +51,8 @@ class InputQuantity:
         Partial derivative of the result by this input, result unit per `unit`.
     estimated_with
         Inputs of one multivariate estimate share this label; None for an independent input.
+    conditional
+        Whether the uncertainty is what remains once the inputs before it in the estimate are known.
     """
 
     name: str
@@ -62,6 +64,7 @@ class InputQuantity:
     degrees_of_freedom: float | None
     sensitivity: float
     estimated_with: str | None = None
+    conditional: bool = False
 
 
 @dataclass(frozen=True)

@@ -100,6 +100,11 @@ def at_place(value: float, *, uncertainty: float) -> str:
     return _at(value, last_place(uncertainty), ROUND_HALF_EVEN)
 
 
+def upwards_to(bound: float, *, uncertainty: float) -> str:
+    """Return a bound rounded up to the place of `uncertainty`."""
+    return _at(bound, last_place(uncertainty), ROUND_CEILING)
+
+
 def upwards(number: float, *, digits: int = DIGITS) -> str:
     """Return a positive bound with so many significant digits, rounded up."""
     exact = _decimal(number)

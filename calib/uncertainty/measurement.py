@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -120,6 +121,13 @@ class Instrument:
     The two are independent. All that is said of a measurement is made from these parts: a parameter
     that has absorbed part of a shared error takes it away again, or adds to it.
 
+    Parameters
+    ----------
+    parameters, reading, shared
+        The parts.
+    mean_gaze_rad
+        Mean reading of the calibration rows, at which budgets take the effective baseline.
+
     Raises
     ------
     ValueError
@@ -129,6 +137,7 @@ class Instrument:
     parameters: ParameterKnowledge
     reading: ReadingSpread
     shared: SharedErrors | None = None
+    mean_gaze_rad: float = math.pi / 2
 
     def __post_init__(self) -> None:
         if self.parameters.draws is not None and self.own_draws is None:
@@ -233,7 +242,7 @@ def with_standoff(instrument: Instrument, rng: np.random.Generator | None = None
             with_parameters=np.concatenate([shared.with_parameters, unmoved]),
             own_draws=_beside(shared.own_draws, drawn),
         )
-    return Instrument(parameters, instrument.reading, shared)
+    return replace(instrument, parameters=parameters, shared=shared)
 
 
 def _beside(draws: FloatArray | None, more: FloatArray | None) -> FloatArray | None:

@@ -4,8 +4,9 @@ The inputs are, in this order: the parameters with what rows and priors leave un
 multivariate estimate), the shared errors (what the intrinsics and the pose of C2 have wrong, which
 falsifies every reading and has falsified the parameters; or what several rows have wrong together,
 which has falsified the parameters alone), and the errors of each reading. The three are independent
-of each other: a budget in them needs correlations between parameters only, and each source of
-shared errors has one line, its effects by both ways added with their signs.
+of each other: a budget in them, with the parameters in the combinations of
+`calib.uncertainty.determined`, needs no correlations, and each source of shared errors has one
+line, its effects by both ways added with their signs.
 """
 
 from __future__ import annotations
@@ -19,9 +20,10 @@ import numpy as np
 
 from calib.core.arrays import FloatArray
 from calib.geometry.misclosure import depth_jacobian
-from calib.geometry.parameters import INDEX, PARAMETERS, embed
+from calib.geometry.parameters import INDEX, embed
 from calib.geometry.plane import OBSERVABLE, Gaze
 from calib.uncertainty.budget import Budget, InputQuantity, budget
+from calib.uncertainty.determined import determined
 from calib.uncertainty.distributions import Inputs, NormalInputs, RectangularInputs
 from calib.uncertainty.measurement import (
     PARAMETERS_LABEL,
@@ -167,34 +169,39 @@ class MeasurementModel:
             *self._sources(sensitivity[k : k + m]),
             *self._reading_errors(sensitivity[k + m :]),
         ]
-        correlation = np.eye(len(inputs))
-        correlation[:k, :k] = _correlation(self._instrument.own_covariance)
-        matters = [i for i, q in enumerate(inputs) if q.sensitivity]
+        matters = [q for q in inputs if q.sensitivity and q.standard_uncertainty]
         return budget(
             quantity=quantity,
             estimate=estimate,
             unit="mm",
-            inputs=[inputs[i] for i in matters],
-            correlation=correlation[np.ix_(matters, matters)],
+            inputs=matters,
+            correlation=np.eye(len(matters)),
         )
 
     def _parameters(self, sensitivity: FloatArray) -> list[InputQuantity]:
         p = self._instrument.parameters
-        u = np.sqrt(np.diag(self._instrument.own_covariance))
+        found = determined(
+            p.names,
+            p.values,
+            self._instrument.own_covariance,
+            mean_gaze_rad=self._instrument.mean_gaze_rad,
+        )
+        along = sensitivity @ found.to_parameters
         distribution = _parameter_distribution(p)
         return [
             InputQuantity(
                 name=name,
-                estimate=float(p.values[i]),
-                unit=PARAMETERS[INDEX[name]].unit,
-                standard_uncertainty=float(u[i]),
+                estimate=float(found.estimates[i]),
+                unit=found.units[i],
+                standard_uncertainty=float(found.std[i]),
                 evaluation=p.evaluation[i],
                 distribution=distribution,
                 degrees_of_freedom=p.degrees_of_freedom,
-                sensitivity=float(sensitivity[i]),
+                sensitivity=float(along[i]),
                 estimated_with=PARAMETERS_LABEL,
+                conditional=i > 0,
             )
-            for i, name in enumerate(p.names)
+            for i, name in enumerate(found.names)
         ]
 
     def _sources(self, sensitivity: FloatArray) -> list[InputQuantity]:
@@ -281,13 +288,6 @@ def _with_lenders(points: Sequence[Reading]) -> tuple[list[Reading], tuple[int, 
             readings.append(depth_source)
         depth_of.append(len(readings) - 1 if place is None else place)
     return readings, tuple(depth_of)
-
-
-def _correlation(covariance: FloatArray) -> FloatArray:
-    u = np.sqrt(np.diag(covariance))
-    safe = np.where(u > 0, u, 1.0)
-    correlation: FloatArray = covariance / np.outer(safe, safe)
-    return correlation
 
 
 def _own_errors(spread: ReadingSpread, count: int) -> list[_Own]:

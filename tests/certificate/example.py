@@ -30,6 +30,7 @@ from calib.uncertainty.measurement import (
     SharedErrors,
     Spread,
 )
+from calib.uncertainty.montecarlo import Interval
 
 CALIBRATED_MM = (485.9, 1008.5)
 NAMES = ("baseline_mm", "delta2_rad", "axis_z_mm", "eccentricity_mm")
@@ -269,6 +270,13 @@ def _evidence(posterior: bool) -> Evidence:
     )
 
 
+def _interval(p: ParameterKnowledge, both: np.ndarray) -> Interval | None:
+    if p.draws is None:
+        return None
+    low, high = np.quantile(p.draws @ both, [0.025, 0.975])
+    return Interval(float(low), float(high))
+
+
 def inputs(
     *,
     administration: Administration = STATED,
@@ -308,6 +316,7 @@ def inputs(
                     "mm",
                     float(both @ p.values),
                     float(np.sqrt(both @ p.covariance @ both)),
+                    _interval(p, both),
                 ),
             ),
             intrinsics="given in the dataset",

@@ -81,7 +81,7 @@ def test_numbers_are_rounded_to_two_digits_of_their_uncertainty() -> None:
     data = build_certificate(inputs)
     for line, certified in zip(data.depths, inputs.evidence.depths, strict=True):
         shown = line.depth
-        u = shown.expanded_uncertainty or shown.standard_uncertainty
+        u = shown.standard_uncertainty if shown.from_interval else shown.expanded_uncertainty
         assert u is not None
         place = Decimal(u).as_tuple().exponent
         assert len(Decimal(u).as_tuple().digits) == 2
@@ -95,17 +95,31 @@ def test_numbers_are_rounded_to_two_digits_of_their_uncertainty() -> None:
         assert float(line.relative) >= 100 * half / certified.result.z_mm
 
 
-def test_a_coverage_factor_stands_only_where_the_linear_result_is_valid() -> None:
+def test_each_line_has_u_and_k_marked_where_they_are_of_an_interval() -> None:
     for posterior in (True, False):
         inputs = example.inputs(posterior=posterior)
         data = build_certificate(inputs)
         for line, certified in zip(data.depths, inputs.evidence.depths, strict=True):
-            assert (line.depth.coverage_factor is not None) == certified.result.linear_valid
-            assert (line.depth.expanded_uncertainty is None) == (line.depth.coverage_factor is None)
+            shown, stated = line.depth, certified.result
+            assert shown.from_interval == (not stated.linear_valid)
+            half = (stated.interval.high - stated.interval.low) / 2
+            assert shown.expanded_uncertainty is not None
+            # Rounded up, by less than a place of u.
+            assert half <= float(shown.expanded_uncertainty) <= 1.1 * half
+            u = stated.standard_uncertainty_mm
+            assert u is not None
+            assert float(shown.coverage_factor or 0) == pytest.approx(half / u, abs=0.0051)
     posterior_data = build_certificate(example.inputs(posterior=True))
-    assert all(p.coverage_factor is None for p in posterior_data.parameters)
+    assert all(1.7 < float(p.coverage_factor or 0) < 2.2 for p in posterior_data.parameters)
+    assert all(p.from_interval for p in posterior_data.parameters)
     fitted = build_certificate(example.inputs(posterior=False))
     assert {p.coverage_factor for p in fitted.parameters} == {"2.07"}  # t, 22 degrees of freedom
+    assert not any(p.from_interval for p in fitted.parameters)
+    # A check without an upper limit has no u, and so no k.
+    bounded = [error for error, _ in posterior_data.checks if error.standard_uncertainty]
+    assert all(error.coverage_factor for error in bounded)
+    assert bounded
+    assert all(error.coverage_factor for error in posterior_data.lengths)
 
 
 def test_parameters_of_a_posterior_state_its_shortest_interval() -> None:
@@ -220,6 +234,13 @@ def test_an_amendment_names_what_it_replaces() -> None:
     assert build_certificate(example.inputs()).replaces is None
 
 
+def test_the_next_calibration_is_dated_only_if_asked_for() -> None:
+    stated = replace(example.STATED, next_calibration="2027-03-01")
+    data = build_certificate(example.inputs(administration=stated))
+    assert ("2027-03-01", True) in [(s.value, s.label.startswith("Next")) for s in data.statements]
+    assert not any("Next" in s.label for s in build_certificate(example.inputs()).statements)
+
+
 def test_shares_of_the_printed_budget_add_up() -> None:
     data = build_certificate(example.inputs())
     budgets = data.annexes[0].tables[1:]
@@ -231,19 +252,32 @@ def test_shares_of_the_printed_budget_add_up() -> None:
         assert math.isclose(sum(parts), 100, abs_tol=0.05 * len(parts) + 1e-9)
 
 
-def test_slight_inputs_and_pairs_share_a_row_and_parameters_never_do() -> None:
+def test_slight_inputs_share_a_row_and_parameters_never_do() -> None:
     inputs = example.inputs()
     first, *others = inputs.evidence.depths
     plain = first.result.budget
     slight = [replace(row, share_percent=0.01) for row in plain.rows]
-    pairs = [replace(pair, share_percent=-0.02) for pair in plain.correlations]
-    budget = replace(plain, rows=tuple(slight), correlations=tuple(pairs))
+    budget = replace(plain, rows=tuple(slight))
     changed = replace(first, result=replace(first.result, budget=budget))
     evidence = replace(inputs.evidence, depths=(changed, *others))
     table = build_certificate(replace(inputs, evidence=evidence)).annexes[0].tables[1]
     names = [row[0] for row in table.rows]
-    assert names == ["L_b", "δ2", "Z_a", "e", "2 further inputs", "6 further pairs", "depth z"]
-    assert table.rows[5][-1] == "-0.1"
+    known = [f"{name}, above known" for name in ("δ2", "Z_a", "e")]
+    assert names == ["L_b + e / sin α", *known, "2 further inputs", "depth z"]
+    assert table.rows[4][-1] == "0.0"
+    assert plain.correlations == ()
+
+
+def test_parameters_are_printed_with_a_covariance_that_can_be_used() -> None:
+    """Seven digits: positive definite as read, though L_b and e correlate to -0.9997."""
+    inputs = example.inputs()
+    p = inputs.calibration.instrument.parameters
+    annex = next(a for a in build_certificate(inputs).annexes if a.title.startswith("Parameters"))
+    table = annex.tables[0]
+    printed = np.array([[float(cell) for cell in row[3:]] for row in table.rows])
+    scale = np.array([1e3 if name.endswith("rad") else 1.0 for name in p.names])
+    np.testing.assert_allclose(printed, p.covariance * np.outer(scale, scale), rtol=1e-6)
+    assert np.linalg.eigvalsh(printed)[0] > 0
 
 
 @pytest.mark.parametrize("cameras", [False, True])

@@ -147,6 +147,7 @@ def test_each_depth_says_what_its_uncertainty_is_made_of() -> None:
         element
         for element in root.iterfind(".//dcc:result/dcc:data/dcc:list", NAMES)
         if texts(element, "dcc:name/dcc:content")
+        == ["contributions to the standard uncertainty of depth"]
     ]
     for element, depth in zip(lists, build_certificate(inputs).depths, strict=True):
         names = texts(element, "dcc:quantity/dcc:name/dcc:content")
@@ -155,6 +156,34 @@ def test_each_depth_says_what_its_uncertainty_is_made_of() -> None:
         values = texts(element, "dcc:quantity/si:real/si:value")
         assert values == [source.value for source in depth.contributions]
         assert set(texts(element, "dcc:quantity/si:real/si:unit")) == {r"\milli\metre"}
+
+
+def test_budget_and_expanded_uncertainty_are_those_of_the_page() -> None:
+    inputs = example.with_cameras()
+    root = _parse(inputs)
+    data = build_certificate(inputs)
+
+    def named(name: str):
+        lists = root.iterfind(".//dcc:result/dcc:data/dcc:list", NAMES)
+        return [e for e in lists if "".join(texts(e, "dcc:name/dcc:content")).startswith(name)]
+
+    for element, depth in zip(named("uncertainty budget"), data.depths, strict=True):
+        lines = element.findall("dcc:list", NAMES)
+        for line, printed in zip(lines, depth.budget, strict=True):
+            assert texts(line, "dcc:name/dcc:content") == [printed.quantity]
+            values = [float(v) for v in texts(line, "dcc:quantity/si:real/si:value")]
+            estimate, sensitivity, contribution, share = values
+            (u,) = texts(line, ".//si:valueStandardMU")
+            assert estimate == float(printed.estimate)
+            assert u == printed.standard_uncertainty
+            assert share == float(printed.share)
+            assert abs(sensitivity) * float(u) == pytest.approx(contribution, rel=0.06)
+    stated = [*data.parameters, *(d.depth for d in data.depths), *(e for e, _ in data.checks)]
+    stated = [*stated, *data.lengths]
+    stated = [r for r in stated if r.from_interval and r.coverage_factor]
+    for element, result in zip(named("expanded uncertainty"), stated, strict=True):
+        values = texts(element, "dcc:quantity/si:real/si:value")
+        assert values == [result.expanded_uncertainty, result.coverage_factor]
 
 
 def test_conformity_is_said_for_each_depth_and_for_all() -> None:

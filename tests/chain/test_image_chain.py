@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from chain_runs import Chain, run_chain
-from dcc_schema import checked, sources
+from dcc_schema import checked, shares, sources
 
 from calib.core.errors import InputError
 from calib.simulate.contents import IntrinsicViews, SimulationOptions, SweepPlan
@@ -121,6 +121,9 @@ def test_cameras_are_named_where_their_errors_are_counted(chain: Chain) -> None:
     named = sources(root)
     assert len(named) >= 3
     assert all(names >= SOURCES for names in named)
+    table = shares(root)
+    assert len(table) == len(named)
+    assert all(0 <= share <= 100 for column in table for share in column)
     assert set(chain.document["measurement"]["shared"]["sources"]) == SOURCES
     for row in chain.document["depth_uncertainty"]:
         parts = row["gum_sources_mm"]

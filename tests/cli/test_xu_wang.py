@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import pytest
 from command import DATASETS, Ended, process
-from dcc_schema import checked, sources, texts
+from dcc_schema import checked, shares, sources, texts
 
 from calib.geometry.parameters import vector
 from calib.geometry.plane import Gaze, depth
@@ -112,6 +112,17 @@ def test_digital_certificate_says_what_the_other_files_say(
     assert len(found) >= 3
     # Coordinates are given and their lens is not calibrated here: no error is shared.
     assert all(names == {"parameters", "x1c", "α2", "α2, resolution"} for names in found)
+
+
+@pytest.mark.usefixtures("result")
+def test_shares_of_the_budget_can_be_read(out: Path) -> None:
+    """L_b and e are known to 10 mm each, their sum to 0.4 mm: no share of 70,000 per cent."""
+    table = shares(checked((out / "certificate.xml").read_bytes()))
+    assert len(table) == 5
+    for column in table:
+        assert len(column) == 7
+        assert all(0 <= share <= 100 for share in column)
+        assert sum(column) == pytest.approx(100, abs=0.05 * len(column) + 0.01)
 
 
 def test_posterior_has_converged(result: dict[str, Any]) -> None:

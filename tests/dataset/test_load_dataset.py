@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from dataset_examples import GAZE, MANIFEST, PNG, replaced, write_dataset
+from dataset_examples import GAZE, MANIFEST, PNG, assert_problem, replaced, write_dataset
 
 from calib.core.errors import InputError
 from calib.dataset.faults import parse_manifest
@@ -215,6 +215,66 @@ def test_dataset_of_images(tmp_path: Path) -> None:
     assert (dataset.lengths.start, dataset.lengths.end) == (("v1",), ("v3",))
     assert dataset.cameras == {}
     assert dataset.warnings == ()
+
+
+EXCLUDED = {
+    'images = "intrinsics/c1/*.png"\n': 'exclude = ["intrinsics/c1/3.png"]\n',
+    'c2 = "stereo/c2/*.png"\n': 'exclude = ["c2/p4.png"]\n',
+    'table = "sweep.csv"\n': 'exclude = ["s2.png"]\n',
+}
+
+
+def test_pictures_that_are_excluded_are_not_there(tmp_path: Path) -> None:
+    """By their path, or the end of it; of a pair one picture takes both out."""
+    manifest = IMAGE_MANIFEST
+    for after, line in EXCLUDED.items():
+        manifest = replaced(manifest, after, after + line)
+    folder = image_dataset(tmp_path, manifest)
+    rows = "".join(f"{i},g.png,{86 + i},h.png,p{min(i, 3)}\n" for i in range(5))
+    (folder / "gaze.csv").write_text("id,image_c1,alpha2_deg,image_c2,stereo\n" + rows)
+    (folder / "intrinsics/c1/6.png").write_bytes(PNG)
+    dataset = load_dataset(folder)
+    assert dataset.images["c1"] == tuple(f"intrinsics/c1/{i}.png" for i in (0, 1, 2, 4, 5, 6))
+    assert list(dataset.stereo_pairs) == ["p0", "p1", "p2", "p3"]
+    assert dataset.sweep is not None
+    assert dataset.sweep.image_c2 == ("s1.png",)
+    assert dataset.sweep.ids == ("1",)
+    assert "intrinsics/c1/3.png" not in dataset.image_sha256
+    assert not any("partner" in warning for warning in dataset.warnings)
+
+
+@pytest.mark.parametrize(
+    ("after", "line", "parts"),
+    [
+        (
+            'images = "intrinsics/c1/*.png"\n',
+            'exclude = ["c1/03.png"]',
+            ("[cameras.c1] exclude", "'c1/03.png' is no picture", "'intrinsics/c1/3.png'"),
+        ),
+        (
+            'c2 = "stereo/c2/*.png"\n',
+            'exclude = ["p1.png"]',
+            ("[stereo] exclude", "the end of 2 names", "give more of the path"),
+        ),
+        (
+            'table = "sweep.csv"\n',
+            'exclude = ["nothing-like-it"]',
+            ("[sweep] exclude", "is no picture", "as the report does"),
+        ),
+        ('table = "lengths.csv"\n', 'exclude = ["s1.png"]', ("[lengths]", "exclude", "")),
+    ],
+)
+def test_a_name_to_exclude_that_fits_no_picture_is_an_error(
+    tmp_path: Path, after: str, line: str, parts: tuple[str, ...]
+) -> None:
+    manifest = replaced(IMAGE_MANIFEST, after, f"{after}{line}\n")
+    assert_problem(check_dataset(image_dataset(tmp_path, manifest)), *parts)
+
+
+def test_a_given_camera_has_no_picture_to_exclude() -> None:
+    text = replaced(MANIFEST, "[encoder]", 'exclude = ["a.png"]\n\n[encoder]')
+    (problem,) = parse_manifest(text.encode()).problems
+    assert "exclude is given without images" in problem.what
 
 
 def test_intrinsics_alone_are_a_dataset(tmp_path: Path) -> None:

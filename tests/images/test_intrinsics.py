@@ -14,7 +14,7 @@ from calib.core.errors import EstimationError, InputError
 from calib.geometry.board import Corners
 from calib.geometry.camera import intrinsic_vector
 from calib.images.intrinsics.calibrate import Intrinsics, calibrate_intrinsics
-from calib.images.intrinsics.gates import orientation_fault
+from calib.images.intrinsics.gates import LeftOut, intrinsics_gates, orientation_fault
 
 TRUTH = intrinsic_vector(scenes.CAMERA)
 FOCAL = 540.0
@@ -74,6 +74,10 @@ def test_views_and_detectors_are_accounted_for(good: Intrinsics) -> None:
     assert any("in 1 of 23 intrinsic images (03.png)" in w for w in good.warnings)
     assert any("repeats" in w and "09.png" in w for w in good.warnings)
     assert any("12.png contradict the other images" in w for w in good.warnings)
+    residuals = next(gate for gate in good.gates if gate.name == "c1-residuals")
+    assert residuals.passed
+    assert '1 of 23 pictures left out: "12.png"' in residuals.detail
+    assert "0.0 % of corners rejected" in residuals.detail
     assert good.uncertainty.std_px.shape == good.differences[0].expected_px.shape
     assert 0.5 < good.coverage.share < 0.9
 
@@ -159,6 +163,25 @@ def test_a_board_that_changes_its_shape_fails_the_residuals() -> None:
     found = scenes.views(12, rng)
     bad = replace(found, pixels=found.pixels + rng.normal(0, 4, found.pixels.shape))
     assert "c1-residuals" in verdict(bad)
+
+
+@pytest.mark.parametrize(("out", "passes"), [(0, True), (1, True), (4, True), (5, False)])
+def test_a_few_pictures_left_out_fail_no_gate_and_many_do(
+    good: Intrinsics, out: int, passes: bool
+) -> None:
+    """Of twenty pictures; the advice names those that are left out, not columns and rows first."""
+    residuals = np.full((20, 54, 2), 0.1)
+    residuals[:out] = np.nan
+    fit = replace(good.selected, residuals=residuals, rejected=54 * out)
+    left_out = LeftOut(tuple(f"{i:02}.png" for i in range(out)), 54 * out)
+    gates = intrinsics_gates(
+        "c1", fit, good.coverage, good.validation, agreement=None, left_out=left_out
+    )
+    gate = next(gate for gate in gates if gate.name == "c1-residuals")
+    assert gate.passed == passes
+    if not passes:
+        assert 'write exclude = ["00.png", "01.png"' in gate.detail
+        assert "of another camera?" in gate.detail
 
 
 def test_orientation_fault_tells_the_cases_apart() -> None:

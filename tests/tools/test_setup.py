@@ -217,7 +217,7 @@ def test_awkward_paths_work(name: str, tmp_path: Path) -> None:
     assert (again.returncode, again.stderr) == (0, "")
 
 
-@pytest.mark.parametrize("name", ['a "rig"', "a\nrig", "$rig", "a`rig", "a:rig", "a\\rig"])
+@pytest.mark.parametrize("name", ['a "rig"', "a\nrig", "$rig", "a`rig", "a\\rig"])
 def test_paths_that_start_scripts_cannot_hold_are_refused_at_once(
     name: str, tmp_path: Path
 ) -> None:

@@ -9,7 +9,12 @@ import GTC
 import known_case
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
+from calib.geometry.misclosure import depth_jacobian
+from calib.geometry.parameters import GAZED_BASELINE, INDEX, NAMES
+from calib.geometry.plane import Gaze
 from calib.uncertainty.budget import Budget, InputQuantity, budget, coverage_factor
 from calib.uncertainty.depth import depth_budget, reading_at
 from calib.uncertainty.measurement import (
@@ -114,22 +119,35 @@ def test_known_case_has_the_figures_worked_out_by_hand() -> None:
     assert table.estimate == pytest.approx(2283.62, abs=0.005)
     assert table.standard_uncertainty == pytest.approx(54.566, abs=0.0005)
     shares = {row.input.name: row.share_percent for row in table.rows}
-    assert shares["baseline_mm"] == pytest.approx(7.37, abs=0.005)
     assert shares["x1c, resolution"] == pytest.approx(72.02, abs=0.005)
     assert shares["alpha2, resolution"] == pytest.approx(12.36, abs=0.005)
-    assert shares["delta2_rad"] == pytest.approx(38.61, abs=0.005)
-    (pair,) = table.correlations
-    assert (pair.first, pair.second) == ("baseline_mm", "delta2_rad")
-    assert pair.share_percent == pytest.approx(-30.36, abs=0.005)
+    # The parameters as such have shares of 7.37 and 38.61, their correlation of -0.9 one of -30.36.
+    # Of delta2 0.19 of the variance remains once the baseline is known; the rest is the baseline's.
+    assert shares["delta2_rad"] == pytest.approx(0.19 * 38.61, abs=0.005)
+    assert shares["baseline_mm"] == pytest.approx(7.37 + 0.81 * 38.61 - 30.36, abs=0.01)
+    assert table.correlations == ()
     assert _shares(table) == pytest.approx(100, abs=1e-9)
+
+
+def _independent(values: np.ndarray, covariance: np.ndarray, dof: float):
+    """Return independent GTC quantities, and those of `covariance` that they make up.
+
+    By Cholesky's factor: each is what remains of one once those before it are known.
+    """
+    factor = np.linalg.cholesky(covariance)
+    std = np.diag(factor)
+    quantities = GTC.multiple_ureal([0.0] * len(values), std.tolist(), dof)
+    rows = factor / std
+    return quantities, [
+        float(value) + sum(float(a) * q for a, q in zip(row, quantities, strict=True))
+        for value, row in zip(values, rows, strict=True)
+    ]
 
 
 @pytest.mark.parametrize("dof", [4.0, 57.0, math.inf])
 def test_known_case_against_gtc(dof: float) -> None:
-    baseline, delta2 = GTC.multiple_ureal(
-        [77.09, 0.0133], [known_case.U_BASELINE, known_case.U_DELTA2], dof
-    )
-    GTC.set_correlation(known_case.CORRELATION, baseline, delta2)
+    known = known_case.knowledge()
+    quantities, (baseline, delta2) = _independent(known.values, known.covariance, dof)
     x1c = GTC.ureal(-0.0158, GTC.type_b.uniform(known_case.PIXEL / 2))
     alpha2 = GTC.ureal(known_case.READING.alpha2_rad, GTC.type_b.uniform(known_case.STEP / 2))
     z = baseline / (x1c + 1 / GTC.tan(alpha2 + delta2))
@@ -139,7 +157,7 @@ def test_known_case_against_gtc(dof: float) -> None:
     assert table.estimate == pytest.approx(GTC.value(z), rel=1e-12)
     assert table.standard_uncertainty == pytest.approx(GTC.uncertainty(z), rel=1e-6)
     assert table.degrees_of_freedom == pytest.approx(GTC.dof(z), rel=1e-6)
-    for row, x in zip(table.rows, (baseline, delta2, x1c, alpha2), strict=True):
+    for row, x in zip(table.rows, (*quantities, x1c, alpha2), strict=True):
         assert row.contribution == pytest.approx(abs(GTC.component(z, x)), rel=1e-6)
         assert row.input.sensitivity == pytest.approx(GTC.reporting.sensitivity(z, x), rel=1e-6)
 
@@ -153,15 +171,14 @@ def test_axis_offset_model_against_gtc() -> None:
     names = ("baseline_mm", "delta2_rad", "axis_z_mm", "eccentricity_mm")
     knowledge = ParameterKnowledge(names, values, covariance, 11.0, ("A",) * 4)
     spread = ReadingSpread(x1c=Spread(normal=2e-4), alpha2_rad=Spread(normal=1e-4, width=1e-3))
-    instrument = Instrument(knowledge, spread)
+    mean = 1.3
+    instrument = Instrument(knowledge, spread, mean_gaze_rad=mean)
     reading = reading_at(instrument.theta, z_mm=900.0, x1c=0.12)
-    u = np.sqrt(np.diag(covariance))
-    inputs = GTC.multiple_ureal(values.tolist(), u.tolist(), 11)
-    for i in range(4):
-        for j in range(i):
-            r = float(covariance[i, j] / u[i] / u[j])
-            GTC.set_correlation(r, inputs[i], inputs[j])
-    baseline, delta2, axis_z, eccentricity = inputs
+    combine = np.eye(4)
+    combine[0, 3] = 1 / math.sin(mean)
+    quantities, combined = _independent(combine @ values, combine @ covariance @ combine.T, 11)
+    effective, delta2, axis_z, eccentricity = combined
+    baseline = effective - eccentricity / math.sin(mean)
     x = GTC.ureal(0.12, 2e-4)
     a = GTC.ureal(reading.alpha2_rad, 1e-4) + GTC.ureal(0, GTC.type_b.uniform(0.5e-3)) + delta2
     z = (baseline + axis_z / GTC.tan(a) + eccentricity / GTC.sin(a)) / (x + 1 / GTC.tan(a))
@@ -169,7 +186,16 @@ def test_axis_offset_model_against_gtc() -> None:
     assert table.estimate == pytest.approx(900, rel=1e-12)
     assert table.standard_uncertainty == pytest.approx(GTC.uncertainty(z), rel=1e-6)
     assert table.degrees_of_freedom == pytest.approx(GTC.dof(z), rel=1e-6)
-    assert len(table.correlations) == 6
+    assert [row.input.name for row in table.rows[:4]] == ["baseline_at_mean_gaze_mm", *names[1:]]
+    for row, q in zip(table.rows[:4], quantities, strict=True):
+        assert row.input.sensitivity == pytest.approx(GTC.reporting.sensitivity(z, q), rel=1e-6)
+        share = 100 * (GTC.component(z, q) / GTC.uncertainty(z)) ** 2
+        assert row.share_percent == pytest.approx(share, rel=1e-6)
+    assert table.rows[0].input.estimate == pytest.approx(GTC.value(effective), rel=1e-12)
+    assert table.rows[0].input.standard_uncertainty == pytest.approx(
+        GTC.uncertainty(effective), rel=1e-6
+    )
+    assert table.correlations == ()
     assert _shares(table) == pytest.approx(100, abs=1e-9)
 
 
@@ -205,8 +231,44 @@ def test_shared_errors_of_one_source_are_one_line_of_the_budget() -> None:
         parts = [GTC.component(z, c) for n, c in zip(names, common, strict=True) if n == source]
         assert rows[source].contribution == pytest.approx(math.hypot(*parts), rel=1e-6)
         assert (rows[source].input.estimate, rows[source].input.unit) == (0.0, "mm")
-    assert {(c.first, c.second) for c in table.correlations} == {("baseline_mm", "delta2_rad")}
+    assert table.correlations == ()
     assert _shares(table) == pytest.approx(100, abs=1e-9)
+
+
+@given(st.integers(0, 2**32 - 1), st.floats(0.6, 2.5), st.floats(300, 3000))
+def test_shares_lie_between_0_and_100_percent_however_strongly_parameters_correlate(
+    seed: int, mean: float, z_mm: float
+) -> None:
+    rng = np.random.default_rng(seed)
+    names = ("baseline_mm", "delta2_rad", "axis_z_mm", "eccentricity_mm", "encoder_scale")
+    root = np.linalg.qr(rng.normal(size=(5, 5)))[0] * 10.0 ** rng.uniform(-4, 0, 5)
+    scale = np.array([10, 1e-2, 10, 10, 1e-2])
+    covariance = scale[:, None] * (root @ root.T) * scale
+    values = np.array([80.0, 0.01, -20.0, 3.0, 0.0])
+    instrument = Instrument(
+        ParameterKnowledge(names, values, covariance, None, ("A",) * 5),
+        ReadingSpread(x1c=Spread(normal=1e-4)),
+        mean_gaze_rad=mean,
+    )
+    table = depth_budget(instrument, reading_at(instrument.theta, z_mm=z_mm, x1c=0.1))
+    shares = [row.share_percent for row in table.rows]
+    assert table.correlations == ()
+    assert all(0 <= share <= 100 + 1e-9 for share in shares)
+    assert sum(shares) == pytest.approx(100, abs=1e-6)
+    parameters = sum(
+        s for s, row in zip(shares, table.rows, strict=True) if row.input.name in PARTS
+    )
+    gaze = Gaze(*np.array([[0.1], [0.0], [_reading(instrument, z_mm)], [0.0]]))
+    slope = depth_jacobian(instrument.theta, gaze).by_theta[0, [INDEX[name] for name in names]]
+    expected = slope @ covariance @ slope / table.standard_uncertainty**2
+    assert parameters == pytest.approx(100 * expected, rel=1e-6)
+
+
+PARTS = (*NAMES, GAZED_BASELINE)
+
+
+def _reading(instrument: Instrument, z_mm: float) -> float:
+    return reading_at(instrument.theta, z_mm=z_mm, x1c=0.1).alpha2_rad
 
 
 def test_no_coverage_factor_where_degrees_of_freedom_are_unknown() -> None:

@@ -275,7 +275,7 @@ def _images_gate(result: SweepResult) -> Gate:
         f"{len(out)} of {len(left)} images contradict the others"
         + (f" and were left out: {', '.join(out)}" if out else ""),
         remedy="check alpha2_deg of these images, that they show this placement, and that the "
-        "board stood still; or leave them out",
+        "board stood still; or name them in exclude = [...] of [sweep]",
     )
 
 

@@ -16,10 +16,13 @@ from types import ModuleType
 from calib.cli import (
     batch,
     calibrate,
+    capture,
     check,
     compare,
     export,
+    gaze,
     history,
+    length,
     measure,
     plan,
     rig,
@@ -77,7 +80,12 @@ GROUPS: tuple[tuple[str, tuple[Command, ...]], ...] = (
     ),
     (
         "the rig itself",
-        (Command("rig", rig, "is the rig fit to be calibrated and measured with?"),),
+        (
+            Command("capture", capture, "rows of the rig into a dataset"),
+            Command("gaze", gaze, "turn C2 to targets and measure their positions"),
+            Command("length", length, "the distance of two points, each gazed at: plates too"),
+            Command("rig", rig, "is the rig fit to be calibrated and measured with?"),
+        ),
     ),
     (
         "simulate",

@@ -61,7 +61,7 @@ def run(arguments: argparse.Namespace) -> int:
     name = "standard input" if str(arguments.table) == STREAM else str(arguments.table)
     tally = _Tally(name, strict=arguments.strict)
     work = _lengths if arguments.lengths is not None else _positions
-    with _opened(arguments.table, name) as file, _writer(arguments.out) as write:
+    with _opened(arguments.table, name) as file, writer(arguments.out) as write:
         work(arguments, measuring, read_texts(file, name=name), tally, write)
     return NOT_ALL if tally.report() or refused else DONE
 
@@ -188,7 +188,7 @@ def _opened(table: Path, name: str) -> IO[bytes]:
 
 
 @contextmanager
-def _writer(path: Path | None) -> Iterator[Callable[[str], None]]:
+def writer(path: Path | None) -> Iterator[Callable[[str], None]]:
     """Give a function that writes text: to standard output at once, or to a file, whole."""
     from calib.stages.store import atomic_write
 

@@ -17,7 +17,7 @@ from calib.geometry.camera import Camera, normalise
 from calib.rig.clock import NS_PER_S
 from calib.rig.devices import RigDevices
 from calib.rig.protocols import Camera as CameraDevice
-from calib.rig.protocols import Lost, Nanoseconds, Refused, Standstill
+from calib.rig.protocols import Frame, Lost, Nanoseconds, Refused, Standstill
 from calib.rig.settings import AxisSection
 
 TIMEOUT_S: Final = 3.0
@@ -81,6 +81,8 @@ class Gazer:
         C2's lens, by which the angle off its centre column is measured.
     law
         How it is centred.
+    lens_c1
+        C1's lens, for targets that a lens bends.
     settle_s
         C2 trembles so long after it stands still, as `calib rig check` measured it, s.
     noise_c1, noise_c2
@@ -91,6 +93,7 @@ class Gazer:
     target: Target
     lens_c2: Camera
     law: Law
+    lens_c1: Camera | None = None
     settle_s: float = 0.0
     noise_c1: Noise = field(default_factory=Noise)
     noise_c2: Noise = field(default_factory=Noise)
@@ -103,7 +106,7 @@ class Gazer:
         Refused
             If it does not.
         """
-        return self._pictures(self.rig.c1, self.rig.clock.now_ns(), 1)[0]
+        return self.pictures(self.rig.c1, self.rig.clock.now_ns(), 1)[0]
 
     def gaze(self, aiming: Aiming, *, depth_mm: float | None = None) -> GazeRow:
         """Turn C2 to the target and return what is read.
@@ -118,13 +121,13 @@ class Gazer:
         RigError
             If there is no row to be had; the message says why.
         """
-        before = self._pictures(self.rig.c1, self.rig.clock.now_ns(), PICTURES_C1)
+        before = self.pictures(self.rig.c1, self.rig.clock.now_ns(), PICTURES_C1)
         aim = aiming.aim(_mean(before), depth_mm=depth_mm)
         state, standing, first = self._centre(aim_at=begin(self.law, aim, self._standing()))
-        c2 = (first, *self._pictures(self.rig.c2, _next(first), PICTURES_C2 - 1))
-        after = self._pictures(self.rig.c1, _next(c2[-1]), PICTURES_C1)
-        c2 = (*c2, *self._pictures(self.rig.c2, _next(after[-1]), 1))
-        self._refuse_turned(standing)
+        c2 = (first, *self.pictures(self.rig.c2, _next(first), PICTURES_C2 - 1))
+        after = self.pictures(self.rig.c1, _next(c2[-1]), PICTURES_C1)
+        c2 = (*c2, *self.pictures(self.rig.c2, _next(after[-1]), 1))
+        self.refuse_turned(standing)
         refuse_moved("C1", before, after, self.noise_c1)
         refuse_unsteady("C1", (*before, *after), self.noise_c1)
         refuse_unsteady("C2", c2, self.noise_c2)
@@ -149,7 +152,7 @@ class Gazer:
         state, move = aim_at
         while True:
             standing = self._go(move)
-            seen = self._look(self.rig.c2, self._at_rest(standing))
+            seen = self.look(self.rig.c2, self.at_rest(standing))
             residual = None if seen is None else self.residual(seen.sighting.pixel)
             state, then = decide(state, standing.reading_rad, residual)
             if isinstance(then, Rest) and seen is not None:
@@ -157,7 +160,8 @@ class Gazer:
             if isinstance(then, Move):
                 move = then
 
-    def _at_rest(self, standing: Standstill) -> Nanoseconds:
+    def at_rest(self, standing: Standstill) -> Nanoseconds:
+        """Return when C2 trembles no more."""
         return standing.since_ns + round(self.settle_s * NS_PER_S)
 
     def _go(self, move: Move) -> Standstill:
@@ -170,7 +174,14 @@ class Gazer:
         x = normalise(self.lens_c2, pixel_c2[None], strict=False)[0, 0]
         return float(np.arctan(x)) if np.isfinite(x) else None
 
-    def _refuse_turned(self, standing: Standstill) -> None:
+    def refuse_turned(self, standing: Standstill) -> None:
+        """Refuse a row through which C2 did not stand still.
+
+        Raises
+        ------
+        Refused
+            With the counts.
+        """
         now = self.rig.axis.standstill()
         # An encoder on the edge between two counts reads either.
         spare = 0 if standing.source == "counts" else 1
@@ -180,30 +191,46 @@ class Gazer:
                 f"{now.counts} after; is another program driving it, does the cable pull?"
             )
 
-    def _pictures(self, camera: CameraDevice, moment: Nanoseconds, count: int) -> tuple[Seen, ...]:
+    def pictures(self, camera: CameraDevice, moment: Nanoseconds, count: int) -> tuple[Seen, ...]:
         """Return so many different pictures of the target, the first exposed after `moment`."""
         found: list[Seen] = []
         while len(found) < count:
             last = found[-1] if found else None
-            seen = self._look(camera, _next(last) if last else moment, last)
+            frame = self._frame(camera, _next(last) if last else moment, last)
+            seen = self._seen(camera, frame)
             if seen is None:
-                raise Refused(self._unseen("C1" if camera is self.rig.c1 else "C2"))
+                why = self._target(camera).fault(frame.pixels)
+                raise Refused(self.unseen("C1" if camera is self.rig.c1 else "C2", why))
             found.append(seen)
         return tuple(found)
 
-    def _look(
+    def look(
         self, camera: CameraDevice, moment: Nanoseconds, last: Seen | None = None
     ) -> Seen | None:
         """Return a picture with the target, another one than `last`; None if it is not in it."""
+        return self._seen(camera, self._frame(camera, moment, last))
+
+    def _frame(self, camera: CameraDevice, moment: Nanoseconds, last: Seen | None) -> Frame:
         for _ in range(SAME_FRAME_TRIES):
             frame = camera.after(moment, timeout_s=TIMEOUT_S)
             if last is None or frame.serial != last.frame.serial:
-                sighting = self.target.find(frame.pixels)
-                return None if sighting is None else Seen(frame, sighting)
+                return frame
             moment = frame.exposed_ns + NEXT_NS
         raise Lost(f"{camera.identity} hands out one and the same frame again and again")
 
-    def _unseen(self, name: str) -> str:
+    def _seen(self, camera: CameraDevice, frame: Frame) -> Seen | None:
+        age = (self.rig.clock.now_ns() - frame.exposed_ns) / 1e6
+        sighting = self._target(camera).find(frame.pixels)
+        return None if sighting is None else Seen(frame, sighting, age)
+
+    def _target(self, camera: CameraDevice) -> Target:
+        lens = self.lens_c1 if camera is self.rig.c1 else self.lens_c2
+        return self.target if lens is None else self.target.through(lens)
+
+    def unseen(self, name: str, why: str = "") -> str:
+        """Return the message about a camera that does not see the target."""
+        if why:
+            return f"{name}: {why}"
         return (
             f"{name} does not see the target {self.target.name}; is it in the picture, sharp, "
             "evenly lit, and the one that is asked for?"

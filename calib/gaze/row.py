@@ -29,10 +29,11 @@ be air and floor, and is nothing that a row could not bear."""
 
 @dataclass(frozen=True)
 class Seen:
-    """A picture and the target in it."""
+    """A picture and the target in it; `age_ms` old when it came to hand."""
 
     frame: Frame
     sighting: Sighting
+    age_ms: float = 0.0
 
 
 @dataclass(frozen=True)

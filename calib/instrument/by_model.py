@@ -12,6 +12,7 @@ from calib.core.errors import UsageError
 from calib.dataset.tables import GazeTable
 from calib.instrument.calibration_file import Measuring
 from calib.instrument.measuring import Measured, Positions, measure
+from calib.rows.from_table import ImageObservations
 from calib.uncertainty.mixture import CLEARLY_LONGER, inverse_length, mix_depths, mix_moments
 
 SELECTED, AVERAGE = "selected", "average"
@@ -65,11 +66,15 @@ class Averaged:
         return float(mean), float(np.sqrt(variance))
 
 
-def measure_by(measuring: Measuring, table: GazeTable, *, model: str) -> Positions:
+def measure_by(
+    measuring: Measuring, table: GazeTable, *, model: str, seen: ImageObservations | None = None
+) -> Positions:
     """Return the positions of the points in a table, by one model or by all of them.
 
     Parameters
     ----------
+    seen
+        As in `calib.instrument.measuring.measure`.
     model
         `SELECTED`, `AVERAGE` or the name of a fitted model.
 
@@ -79,8 +84,8 @@ def measure_by(measuring: Measuring, table: GazeTable, *, model: str) -> Positio
         If the calibration has no such model.
     """
     if model == AVERAGE:
-        return measure_average(measuring, table)
-    return measure(instrument_of(measuring, model), table)
+        return measure_average(measuring, table, seen)
+    return measure(instrument_of(measuring, model), table, seen)
 
 
 def instrument_of(measuring: Measuring, model: str) -> Measuring:
@@ -105,7 +110,9 @@ def instrument_of(measuring: Measuring, model: str) -> Measuring:
     raise UsageError(f"--model {model}: is no one model of the calibration, which has {known}")
 
 
-def measure_average(measuring: Measuring, table: GazeTable) -> Averaged:
+def measure_average(
+    measuring: Measuring, table: GazeTable, seen: ImageObservations | None = None
+) -> Averaged:
     """Return the positions of the points in a table of readings, by all models together.
 
     Raises
@@ -120,7 +127,7 @@ def measure_average(measuring: Measuring, table: GazeTable) -> Averaged:
         )
     weights = np.array([share.weight for share in shares])
     weights /= weights.sum()
-    models = tuple(measure(instrument_of(measuring, share.model), table) for share in shares)
+    models = tuple(measure(instrument_of(measuring, share.model), table, seen) for share in shares)
     return _mixed(weights, models, np.array([share.factor95 for share in shares]))
 
 

@@ -64,6 +64,8 @@ class Measuring:
         All fitted models, the selected one among them; empty in a file that holds that one alone.
     failed_gates
         Checks of the calibration that failed: the result must not be used.
+    serial
+        Serial number of the rig; None if the dataset does not state it.
     """
 
     instrument: Instrument
@@ -73,6 +75,7 @@ class Measuring:
     factor95: float
     shares: tuple[ModelShare, ...] = ()
     failed_gates: tuple[Gate, ...] = ()
+    serial: str | None = None
 
 
 def read_calibration(path: Path, *, allow_edited: bool = False) -> Measuring:
@@ -192,6 +195,7 @@ def _measuring(file: File) -> Measuring:
         factor95=m.factor95,
         shares=tuple(_share(share, reading, shared.error_names) for share in m.average),
         failed_gates=_failed(file.gates),
+        serial=file.rig.serial,
     )
 
 

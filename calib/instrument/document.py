@@ -204,6 +204,12 @@ class Stereo(Section):
     transform_12: Annotated[tuple[TransformRow, ...], Field(min_length=4, max_length=4)]
 
 
+class RigSection(Section):
+    """Which rig was calibrated."""
+
+    serial: str | None = None
+
+
 class CameraFile(Section):
     """The document, as far as its cameras are read."""
 
@@ -218,5 +224,6 @@ class File(Section):
 
     format: Literal[1]
     gates: tuple[GateSection, ...] = ()
+    rig: RigSection = RigSection()
     measurement: Measurement
     intrinsics: dict[str, CameraSection] = {}

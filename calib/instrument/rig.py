@@ -136,7 +136,7 @@ class Rig:
         columns = _columns(
             alpha2_deg=alpha2_deg, x1c=x1c, y1c=y1c, u1_px=u1_px, v1_px=v1_px, u2_px=u2_px
         )
-        table = _table(columns, depth_of)
+        table = reading_table(columns, depth_of)
         return Points(measure_by(self.measuring, table, model=model), self.calibrated_mm)
 
 
@@ -243,7 +243,10 @@ def _columns(**given: Any) -> dict[str, FloatArray]:
     return {name: np.broadcast_to(a, shape) for name, a in arrays.items()}
 
 
-def _table(columns: dict[str, FloatArray], depth_of: Sequence[int] | None) -> GazeTable:
+def reading_table(
+    columns: dict[str, FloatArray], depth_of: Sequence[int] | None = None
+) -> GazeTable:
+    """Return readings as a table; the columns are those of `Rig.measure`, shape (n,) each."""
     degrees = columns["alpha2_deg"]
     n = len(degrees)
     nothing, unnamed = np.full(n, np.nan), (None,) * n

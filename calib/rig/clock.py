@@ -43,7 +43,7 @@ class SimulatedClock:
 
     def __init__(self, start_ns: Nanoseconds = NS_PER_S) -> None:
         self._now = start_ns
-        self._lock = threading.Lock()
+        self._lock = threading.RLock()  # a signal's handler may ask while it is held
 
     def now_ns(self) -> Nanoseconds:
         """Return the time."""

@@ -11,18 +11,25 @@ before it through `calib.rig.virtual.operator.Operator`.
 
 from __future__ import annotations
 
+import signal
+import threading
 from collections.abc import Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
-from typing import Any
+from types import FrameType
+from typing import Any, Final
 
+from calib.core.errors import CalibError
 from calib.rig.clock import Clock, HostClock, SimulatedClock
 from calib.rig.protocols import Camera, YawAxis
 from calib.rig.registry import axis_driver, camera_driver
 from calib.rig.settings import AxisSection, CameraSection, RigSettings
 from calib.rig.virtual.world import World
 
-VIRTUAL = "virtual"
+VIRTUAL: Final = "virtual"
+
+SIGNALS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+"""Ctrl-C, a service that is stopped, a terminal that is closed."""
 
 
 @dataclass(frozen=True)
@@ -79,7 +86,38 @@ def open_rig(settings: RigSettings) -> Iterator[RigDevices]:
         opener = axis_driver(settings.axis.driver, where="rig.toml, [axis] driver")
         axis = opener(_handed(settings.axis, "axis", settings, clock, world))
         opened.callback(axis.close)
+        opened.enter_context(stopping(axis))
         yield RigDevices(settings, cameras[0], cameras[1], axis, clock, world)
+
+
+@contextmanager
+def stopping(axis: YawAxis) -> Iterator[None]:
+    """Let the signals that end a program stop the motor before anything else happens.
+
+    What they did before they do afterwards; one that killed the program interrupts it instead, so
+    that devices are closed and files whole. Outside the main thread nothing is changed.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    former = {each: signal.getsignal(each) for each in SIGNALS}
+
+    def stop_first(number: int, at: FrameType | None) -> None:
+        with suppress(CalibError, OSError):
+            axis.stop()
+        then = former[signal.Signals(number)]
+        if callable(then):
+            then(number, at)
+        elif then is not signal.SIG_IGN:
+            raise KeyboardInterrupt
+
+    try:
+        for each in SIGNALS:
+            signal.signal(each, stop_first)
+        yield
+    finally:
+        for each, handler in former.items():
+            signal.signal(each, handler)
 
 
 def _handed(

@@ -94,14 +94,26 @@ class CamerasSection(Section):
 
 
 class RigSettings(Section):
-    """A whole rig.toml."""
+    """A whole rig.toml.
+
+    `baseline_mm` is the distance of C2's yaw axis from C1 by a tape measure, negative where C2
+    stands on the left: by it targets are looked for before the rig is calibrated.
+    """
 
     format: Literal[1]
     serial: Line
+    baseline_mm: Number | None = None
     cameras: CamerasSection
     axis: AxisSection
     board: Board | None = None
     virtual: VirtualSettings = Field(default_factory=VirtualSettings)
+
+    @property
+    def nominal_baseline_mm(self) -> float | None:
+        """The baseline by tape measure, or the one that a virtual rig is told to have, mm."""
+        if self.baseline_mm is not None:
+            return self.baseline_mm
+        return self.virtual.parameters.get("baseline_mm")
 
     @property
     def devices(self) -> Mapping[str, CameraSection | AxisSection]:

@@ -32,10 +32,13 @@ class OutputKind:
     marks
         Of a file: byte strings one of which its first `HEAD_BYTES` hold. Of a folder: names one of
         which it holds.
+    is_dataset
+        Whether it is a dataset that is added to, and so may be one already.
     """
 
     is_folder: bool
     marks: tuple[bytes, ...] | tuple[str, ...] = ()
+    is_dataset: bool = False
 
     def wrote(self, path: Path) -> bool:
         """Return whether what lies at `path` was written by the same command."""
@@ -95,7 +98,7 @@ def guarded(
             raise refuse(f"is {what}", "name a folder" if kind.is_folder else "name a file")
         if not (kind.is_folder or stat.S_ISREG(mode)):
             raise refuse(f"is {_kind_of(mode)}", "name a file; > redirects to anything else")
-        if kind.is_folder and (real / DATASET_MARK).exists():
+        if kind.is_folder and (real / DATASET_MARK).exists() and not kind.is_dataset:
             raise refuse("is a dataset", "results go into a folder of their own: " + elsewhere)
         if not (force or kind.wrote(real)):
             what = "a folder with files of" if kind.is_folder else "a file of"

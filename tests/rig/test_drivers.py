@@ -6,6 +6,9 @@ crosses to the drivers. The loop over both is in `test_real_loop`.
 
 import json
 import math
+import signal
+import subprocess
+import sys
 import threading
 import time
 from pathlib import Path
@@ -322,20 +325,79 @@ def gige_camera(*answers):
     ],
 )
 def test_gige_a_frame_left_over_or_not_whole_is_passed_over(delay, bad, reason):
-    good = frame(frame_id=9, timestamp_ns=6_000_000_000)
+    good = frame(frame_id=9, timestamp_ns=100_000_000_000)
     camera = gige_camera((delay, frame(**bad)), (0.06, good))
-    assert camera.after(time.monotonic_ns(), timeout_s=2).serial == 9
+    assert camera.after(time.monotonic_ns(), timeout_s=20).serial == 9
     with pytest.raises(Lost, match=reason):
         gige_camera(*[(delay, frame(**bad))] * 1000).after(time.monotonic_ns(), timeout_s=0.1)
 
 
 def test_gige_a_frame_whose_clock_did_not_go_on_is_left_over():
     first, stale = frame(), frame(frame_id=2, timestamp_ns=5_060_000_000)
-    good = frame(frame_id=3, timestamp_ns=6_000_000_000)
+    good = frame(frame_id=3, timestamp_ns=100_000_000_000)
     camera = gige_camera((0.06, first), (0.06, stale), (0.06, good))
-    assert camera.after(time.monotonic_ns(), timeout_s=2).serial == 1
+    assert camera.after(time.monotonic_ns(), timeout_s=20).serial == 1
     time.sleep(0.3)
-    assert camera.after(time.monotonic_ns(), timeout_s=2).serial == 3
+    assert camera.after(time.monotonic_ns(), timeout_s=20).serial == 3
+
+
+class FakeTriggered(FakeGige):
+    """Answers each software trigger after a delay, s; None stands for a frame that is lost."""
+
+    def __init__(self, delays):
+        super().__init__(())
+        self.features |= {"TriggerMode": 0, "TriggerSoftware": 0}
+        self.enums, self.delays, self.queue, self.triggers = {}, list(delays), [], 0
+
+    def set_enum(self, name, entry):
+        self.enums[name] = entry
+
+    def get_enum(self, name):
+        return self.enums[name]
+
+    def start_acquisition(self, *, packet_size):
+        assert packet_size == 1400
+        return self
+
+    def execute(self, name):
+        assert name == "TriggerSoftware"
+        self.triggers += 1
+        delay = self.delays.pop(0)
+        if delay is not None:
+            stamp = time.monotonic_ns()
+            answer = frame(frame_id=self.triggers, timestamp_ns=stamp)
+            self.queue.append((time.monotonic() + delay, answer))
+
+    def wait_for(self, timeout_s):
+        end = time.monotonic() + timeout_s
+        while time.monotonic() < end:
+            if self.queue and self.queue[0][0] <= time.monotonic():
+                return self.queue.pop(0)[1]
+            time.sleep(0.002)
+        return None
+
+
+def triggered(monkeypatch, *delays):
+    monkeypatch.setattr(gige, "ATTEMPT_S", 0.3)
+    device = FakeTriggered(delays)
+    options = gige.GigeOptions(address="127.0.0.1")
+    return device, gige.GigeCamera(device, options, (4, 2))
+
+
+def test_gige_each_trigger_is_answered_by_its_own_frame(monkeypatch):
+    device, camera = triggered(monkeypatch, 0.06, 0.06, None, 0.06)
+    assert device.enums["TriggerSource"] == "Software"
+    for expected in (1, 2, 4):
+        moment = time.monotonic_ns()
+        got = camera.after(moment, timeout_s=30)
+        assert got.exposed_ns > moment
+        assert (got.serial, got.sure) == (expected, "trigger")
+
+
+def test_gige_the_late_answer_to_a_former_trigger_is_taken_off(monkeypatch):
+    # The first frame comes after its attempt was given up.
+    _, camera = triggered(monkeypatch, 0.4, 0.06)
+    assert camera.after(time.monotonic_ns(), timeout_s=30).serial == 2
 
 
 def test_gige_a_camera_that_is_not_there_is_lost():
@@ -403,3 +465,23 @@ def test_drivers_are_found_by_name():
     assert camera_driver("gige", where="w") is gige.open_camera
     assert camera_driver("video", where="w") is video_driver.open_camera
     assert axis_driver("ximc", where="w") is ximc_driver.open_axis
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_stops_the_motor_before_anything_else(number, tmp_path):
+    script = Path(__file__).parent / "signalled.py"
+    with subprocess.Popen(
+        [sys.executable, str(script), f"xi-emu://{tmp_path}/yaw.bin"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+    ) as program:
+        assert program.stdout.readline() == "moving\n"
+        program.send_signal(number)
+        said = program.stdout.read().split("\n")
+    assert program.returncode != 0
+    assert said[0] == "stop"
+    assert "KeyboardInterrupt" in said
+    rests = next(float(line.split()[1]) for line in said if line.startswith("rests"))
+    assert 90 < rests < 134
+    assert said.index("stop") < said.index("files")

@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 from virtual_rigs import OPEN_LOOP, gaze_reading, shown, virtual_rig
 
+from calib.core.errors import InputError, UsageError
+from calib.gaze.target import target
 from calib.geometry.board import Board
 from calib.geometry.camera import project
 from calib.images.detection.find import find_chessboard
@@ -120,6 +122,31 @@ def test_an_encoder_on_the_load_reads_through_any_play(backlash):
             assert abs(standing.reading_rad - math.radians(degrees)) <= 1.5 * STEP
             assert standing.approached == 1
             assert abs(standing.reading_rad - true_reading(rig)) <= COUNT / 2 + 1e-12
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_with_all_faults_at_once_no_reading_is_of_another_place(seed):
+    rng = np.random.default_rng(seed)
+    faults = {
+        "backlash_steps": float(rng.uniform(0, 10)),
+        "lost_steps_share": 0.05,
+        "stopped_share": 0.05,
+        "truncated": True,
+        "microstep_error": 0.05,
+        "early_done_ms": float(rng.uniform(0, 50)),
+        "ringing_ms": float(rng.uniform(0, 10)),
+    }
+    arrived = 0
+    with virtual_rig(seed=seed, **faults) as rig:
+        for wanted in rng.uniform(0.8, 2.3, 100):
+            try:
+                standing = rig.axis.move(float(wanted))
+            except (Interrupted, Stalled):
+                continue
+            arrived += 1
+            assert abs(standing.reading_rad - rig.world.yaw(standing.since_ns)) <= 1.5 * COUNT
+            assert abs(standing.reading_rad - wanted) <= 1.5 * STEP
+    assert arrived >= 70
 
 
 def test_microsteps_err_once_a_full_step_and_counts_do_not_see_it():
@@ -296,3 +323,31 @@ def test_equal_seeds_give_equal_frames():
     one, other = frame(), frame()
     assert one.serial == other.serial
     assert np.array_equal(one.pixels, other.pixels)
+
+
+@pytest.mark.parametrize("kind", ["board", "tag:DICT_APRILTAG_36h11:7", "cross", "blob"])
+def test_each_target_is_seen_where_it_stands(kind):
+    with virtual_rig(target=kind) as rig:
+        operator = Operator(rig.world)
+        for _ in range(3):
+            operator.show_gaze()
+            frame = rig.c1.after(rig.clock.now_ns(), timeout_s=1)
+            found = target(kind, rig.world.board).find(frame.pixels)
+            point = rig.world.target(rig.clock.now_ns())
+            assert found.pixel == pytest.approx(project(rig.world.rig.c1, point[None])[0], abs=0.3)
+
+
+def test_an_unknown_target_is_refused():
+    with pytest.raises(UsageError, match="names no tag"), virtual_rig(target="tag:DICT_X:7"):
+        pass
+    with pytest.raises(UsageError, match="write 'board'"), virtual_rig(target="moon"):
+        pass
+
+
+def test_a_key_that_virtual_devices_do_not_have_is_named():
+    unknown = r"\[axis\] overshot_steps: is no key .*did you mean"
+    with pytest.raises(InputError, match=unknown), virtual_rig(axis={"overshot_steps": 3}):
+        pass
+    unknown = r"\[cameras.c1\] exposure_us: is no key"
+    with pytest.raises(InputError, match=unknown), virtual_rig(cameras={"exposure_us": 3}):
+        pass

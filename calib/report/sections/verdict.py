@@ -31,6 +31,8 @@ from calib.results.calibration import Calibration, GazeResult
 from calib.results.fits_document import effective_baseline, effective_interval
 from calib.uncertainty.format import significant
 
+_BACKENDS = {"joint": "the joint solve of lenses and pairs"}
+
 
 def verdict(c: Calibration, context: ReportContext) -> Section:
     """Write the verdict."""
@@ -88,7 +90,12 @@ def _rig(images: ImageResult) -> list[Block]:
     tiles: list[tuple[Text, Text, Text]] = []
     for name, found in sorted(images.intrinsics.items()):
         f, u = float(found.camera.matrix[0, 0]), float(np.sqrt(found.covariance[0, 0]))
-        told = (f"fx of {name.upper()}", f"{plus_minus(f, u)} px", f"by {found.selected.backend}")
+        by = _BACKENDS.get(found.selected.backend, found.selected.backend)
+        told = (
+            f"fx of {name.upper()}",
+            f"{plus_minus(f, u)} px",
+            f"by {by}",
+        )
         tiles.append(told)
     if images.stereo is not None:
         distance = plus_minus(images.stereo.baseline_mm, images.stereo.baseline_std_mm)

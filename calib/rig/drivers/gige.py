@@ -1,11 +1,12 @@
 """GigE Vision cameras, by telegenicam: the driver "gige", extra `gige`.
 
-The camera stands idle until a picture is asked for and is then armed for one frame, so that its
-exposure begins after the moment asked for. Lines and drivers keep buffers, though, and one left
-over from before arrives as if it were the answer. A frame is therefore believed only if it could
-have been exposed since: it took at least its exposure to arrive, the camera's clock went on since
-the last frame for at least as long as the host's did, and, where the clock can be latched, its
-stamp is later than the moment at which the camera was armed.
+A picture is exposed on a software trigger, sent after the moment asked for, and each trigger is
+answered by one frame before the next is sent: none is left over that could be taken for the
+answer. After a frame that failed to come the line is left alone until it has been quiet. Cameras
+without such a trigger are armed for single frames; they send a few more than they are asked for,
+so that each picture begins with a quiet line. Either way a frame is believed only if it took at
+least its exposure to arrive, if the camera's clock went on since the last one as the host's did,
+and, where that clock can be latched, if its stamp is later than the trigger.
 """
 
 from __future__ import annotations
@@ -13,8 +14,9 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
-from typing import Annotated, Any, Final
+from typing import Annotated, Any, Final, Protocol
 
 import numpy as np
 import telegenic
@@ -38,7 +40,12 @@ LATCHES: Final = (
     ("TimestampLatch", "TimestampLatchValue"),
     ("GevTimestampControlLatch", "GevTimestampValue"),
 )
+TRIGGER: Final = "TriggerSoftware"
 ATTEMPT_S: Final = 2.0
+
+QUIET_S: Final = 0.2
+"""A line on which nothing came for so long is empty: five frames at 25 a second."""
+
 _DISPLAYED_S: Final = 0.5
 
 
@@ -75,18 +82,74 @@ class _Taken:
     arrived_ns: Nanoseconds
 
 
+class Source(Protocol):
+    """A way to have a camera expose one frame."""
+
+    def shoot(self, timeout_s: float) -> telegenic.Frame | None:
+        """Have a frame exposed, from now on; None if it does not come in time."""
+
+    def quiet(self) -> None:
+        """Wait until nothing is under way any more."""
+
+    def close(self) -> None:
+        """Leave the camera idle."""
+
+
+class TriggeredSource:
+    """A camera that waits for software triggers."""
+
+    def __init__(self, camera: telegenic.Camera, packet_size: int | None) -> None:
+        self._camera = camera
+        self._acquisition = camera.start_acquisition(packet_size=packet_size)
+
+    def shoot(self, timeout_s: float) -> telegenic.Frame | None:
+        """Trigger and wait for the frame."""
+        self._camera.execute(TRIGGER)
+        return self._acquisition.wait_for(timeout_s)
+
+    def quiet(self) -> None:
+        """Take frames off until none comes for a while."""
+        while self._acquisition.wait_for(QUIET_S) is not None:
+            pass
+
+    def close(self) -> None:
+        """Leave the camera idle."""
+        self._acquisition.stop()
+
+
+class SnapshotSource:
+    """A camera that is armed for one frame at a time."""
+
+    def __init__(self, camera: telegenic.Camera, packet_size: int | None) -> None:
+        self._session = camera.snapshot_session(packet_size=packet_size)
+
+    def shoot(self, timeout_s: float) -> telegenic.Frame | None:
+        """Arm the camera, once whatever it sent too many has come."""
+        return self._session.snap(timeout_s)
+
+    def quiet(self) -> None:
+        """Leave the line alone; the session takes no notice of what comes."""
+        time.sleep(QUIET_S)
+
+    def close(self) -> None:
+        """Leave the camera idle."""
+        self._session.close()
+
+
 class GigeCamera:
     """A camera that takes a picture when asked for one."""
 
     def __init__(self, camera: telegenic.Camera, own: GigeOptions, size: tuple[int, int]) -> None:
         self._camera = camera
+        self._own = own
         self._lock = threading.Lock()
         info = camera.device_info()
         self._identity = f"{info.manufacturer} {info.model} {info.serial}"
         self._size = size
         self._exposure_ns = _exposure_ns(camera)
         self._latch = _latch_of(camera)
-        self._session = camera.snapshot_session(packet_size=own.packet_size)
+        self._is_triggered = _is_triggered(camera)
+        self._source = self._open_source()
         self._last: _Taken | None = None
         self._shown: Frame | None = None
 
@@ -107,7 +170,7 @@ class GigeCamera:
         with self._lock:
             while (now := time.monotonic_ns()) < deadline:
                 if now <= moment:
-                    time.sleep(min(moment - now, deadline - now) / NS_PER_S)
+                    time.sleep(min(moment - now + 1, deadline - now) / NS_PER_S)
                     continue
                 outcome = self._attempt(min(ATTEMPT_S, (deadline - now) / NS_PER_S))
                 if isinstance(outcome, Frame):
@@ -133,23 +196,54 @@ class GigeCamera:
     def close(self) -> None:
         """Let go of the device."""
         with self._lock:
-            self._session.close()
+            self._source.close()
             self._camera.disconnect()
 
+    def _open_source(self) -> Source:
+        kind = TriggeredSource if self._is_triggered else SnapshotSource
+        source: Source = kind(self._camera, self._own.packet_size)
+        source.quiet()
+        return source
+
     def _attempt(self, timeout_s: float) -> Frame | str:
-        """Arm the camera once; return the frame, or why it is none."""
-        to_host = self._clock()
-        armed = time.monotonic_ns()
+        """Have one frame exposed; return it, or why it is none."""
         try:
-            frame = self._session.snap(timeout_s)
-        except (telegenic.GenicamError, telegenic.CameraError) as error:
+            taken, to_host = self._take(timeout_s)
+        except telegenic.CameraError as error:
+            self._reconnect()
             return str(error)
-        taken = _Taken(frame, armed, time.monotonic_ns())
+        except telegenic.GenicamError as error:
+            self._source.quiet()
+            return str(error)
+        if taken is None:
+            self._source.quiet()
+            return "none came"
         if fault := self._fault(taken, to_host):
+            self._source.quiet()
             return fault
         self._last = taken
-        begin = armed if to_host is None else max(armed, to_host(frame.timestamp_ticks))
+        frame, begin = taken.frame, taken.armed_ns
+        if to_host is not None:
+            begin = max(begin, to_host(frame.timestamp_ticks))
         return Frame(_pixels(frame), begin, "trigger", frame.frame_id)
+
+    def _take(self, timeout_s: float) -> tuple[_Taken | None, Callable[[int], Nanoseconds] | None]:
+        if not self._is_triggered:
+            self._source.quiet()
+        to_host = self._clock()
+        armed = time.monotonic_ns()
+        frame = self._source.shoot(timeout_s)
+        return (frame and _Taken(frame, armed, time.monotonic_ns())), to_host
+
+    def _reconnect(self) -> None:
+        """Take hold of the camera again after the line failed; the next attempt tells if it did."""
+        with suppress(telegenic.CameraError, telegenic.GenicamError):
+            self._source.close()
+        try:
+            self._camera.connect()
+            self._source = self._open_source()
+        except (telegenic.CameraError, telegenic.GenicamError):
+            time.sleep(QUIET_S)
 
     def _fault(self, taken: _Taken, to_host: Callable[[int], Nanoseconds] | None) -> str | None:
         """Return why a frame cannot be believed; None if it can."""
@@ -203,6 +297,20 @@ def _exposure_ns(camera: telegenic.Camera) -> Nanoseconds:
     return 0
 
 
+def _is_triggered(camera: telegenic.Camera) -> bool:
+    """Switch to software triggers; return whether the camera has them."""
+    if not (camera.has_feature("TriggerMode") and camera.has_feature(TRIGGER)):
+        return False
+    try:
+        if camera.has_feature("TriggerSelector"):
+            camera.set_enum("TriggerSelector", "FrameStart")
+        camera.set_enum("TriggerSource", "Software")
+        camera.set_enum("TriggerMode", "On")
+    except telegenic.GenicamError:
+        return False
+    return camera.get_enum("TriggerMode") == "On"
+
+
 def _latch_of(camera: telegenic.Camera) -> tuple[str, str, float] | None:
     """Return the command that latches the camera's clock, where it stands then, ns a tick."""
     for command, value in LATCHES:
@@ -247,8 +355,6 @@ def _set_up(
     for name in AUTOMATIC:
         if camera.has_feature(name):
             _set(camera.set_enum, camera.get_enum, name, "Off", where)
-    if camera.has_feature("TriggerMode"):
-        _set(camera.set_enum, camera.get_enum, "TriggerMode", "Off", where)
     _set(camera.set_enum, camera.get_enum, "PixelFormat", "Mono8", where)
     for name, pixels in zip(("Width", "Height"), size or (), strict=False):
         _set(camera.set_integer, camera.get_integer, name, pixels, where)

@@ -12,10 +12,12 @@ from typing import Any, Final
 
 import numpy as np
 
+from calib.dataset.fields import Positive
 from calib.rig.clock import NS_PER_S, Clock, wait
+from calib.rig.options import Options, options
 from calib.rig.protocols import Nanoseconds, YawAxis
 from calib.rig.settings import AxisSection
-from calib.rig.stepped import AxisScale, State, SteppedAxis
+from calib.rig.stepped import OVERSHOOT_STEPS, AxisScale, State, SteppedAxis
 from calib.rig.virtual.mechanics import Drive, Mechanics
 from calib.rig.virtual.settings import VirtualSettings
 from calib.rig.virtual.world import World
@@ -146,8 +148,15 @@ def mechanics(section: AxisSection, settings: VirtualSettings) -> Mechanics:
     return Mechanics(drive, grid=1 / max(1, round(GRID_PER_FULL / per_full)))
 
 
+class AxisOptions(Options):
+    """Keys of the driver: steps beyond a target from which it is approached."""
+
+    overshoot_steps: Positive = OVERSHOOT_STEPS
+
+
 def open_axis(settings: Mapping[str, Any]) -> YawAxis:
     """Open the axis of a virtual rig; the driver "virtual"."""
+    own = options(AxisOptions, settings)
     world: World = settings["world"]
     section = world.settings.axis
     motor = mechanics(section, world.settings.virtual)
@@ -162,6 +171,6 @@ def open_axis(settings: Mapping[str, Any]) -> YawAxis:
         counts_per_step=round(1 / motor.grid),
         zero_rad=math.pi / 2,
         range_rad=(math.radians(low), math.radians(high)),
-        overshoot_steps=float(settings.get("overshoot_steps", 8)),
+        overshoot_steps=own.overshoot_steps,
     )
     return SteppedAxis(controller, scale, world.clock, controller.home_name)

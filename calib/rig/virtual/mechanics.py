@@ -147,7 +147,7 @@ class Mechanics:
         self.grid = grid
         still = Ramp(0, 0.0, 0.0, 0.0, ())
         self._motions = [_Motion(still, 0.0, 0.0, self._micro(0.0))]
-        self._lock = threading.Lock()
+        self._lock = threading.RLock()  # a signal may stop the motor while it is commanded
 
     def start(self, moment: Nanoseconds, end: float, *, losing: float = 0.0) -> Ramp:
         """Drive the pulses to `end`, steps; `losing` of them do not turn the rotor."""

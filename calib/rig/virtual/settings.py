@@ -81,6 +81,8 @@ class VirtualSettings(Faults):
         Of the cameras.
     encoder_noise_deg
         Standard deviation of what an encoder reads, on top of its resolution.
+    target
+        What stands before the rig: "board", "tag:DICTIONARY:ID", "cross" or "blob".
     light
         Brightness of the scene; 1 makes white paper 210 of 255.
     grey_noise
@@ -97,6 +99,7 @@ class VirtualSettings(Faults):
     exposure_ms: Positive = 8.0
     frame_ms: Positive = 40.0
     encoder_noise_deg: NotNegative = 0.0
+    target: Line = "board"
     light: Positive = 1.0
     grey_noise: NotNegative = 1.5
     truth: Line | None = None

@@ -26,7 +26,7 @@ from calib.geometry.parameters import INDEX, NAMES
 from calib.rig.clock import Clock
 from calib.rig.protocols import Nanoseconds
 from calib.rig.settings import CameraSection, RigSettings
-from calib.simulate.pattern import Pattern, board_pattern
+from calib.rig.virtual.targets import sheet
 from calib.simulate.render import Image, Imager, Optics, expose, prepare
 from calib.simulate.rig import Noise, Rig, c2_pose, draw_camera, draw_rig, mirror_rig
 from calib.simulate.scene import fitting_board, invert, target_in_c1
@@ -81,7 +81,13 @@ class World:
         self.settings = settings
         self.clock = clock
         self.rig = true_rig(settings)
-        self.board = _board(settings, self.rig)
+        far = self.rig.depth_range_mm[1]
+        self.sheet = sheet(
+            settings.virtual.target,
+            _board(settings, self.rig),
+            pixel_mm=far / float(self.rig.c1.matrix[0, 0]),
+        )
+        self.board = self.sheet.board
         self._yaw: Callable[[Nanoseconds], float] = lambda _: math.pi / 2
         self._placed: tuple[Placed, ...] = ()
         self._lock = threading.Lock()
@@ -153,7 +159,7 @@ class World:
             moments = (begin_ns + (2 * k + 1) * exposure_ns // (2 * count) for k in range(count))
             between = [self.seen(camera, moment) for moment in moments]
             poses = [_out_of_sight() if pose is None else pose for pose in between]
-        return expose(self.imagers[camera], self.pattern, np.array(poses[:count]), rng)
+        return expose(self.imagers[camera], self.sheet.pattern, np.array(poses[:count]), rng)
 
     def _blurred(self, camera: CameraName, poses: list[FloatArray]) -> int:
         """Return of how many pictures an exposure is to be the mean."""
@@ -164,11 +170,6 @@ class World:
         rays = points[:, :2] / np.maximum(np.abs(points[:, 2:]), 1.0)
         way = float(np.abs(np.diff(rays, axis=0)).sum(axis=0).max() * lens.matrix[0, 0])
         return int(np.clip(math.ceil(way / BLUR_STEP_PX), 3, BLUR_MOST))
-
-    @cached_property
-    def pattern(self) -> Pattern:
-        """The board as it is printed."""
-        return board_pattern(self.board)
 
     @cached_property
     def imagers(self) -> dict[str, Imager]:

@@ -1,0 +1,1 @@
+"""Capture: what the rig sees and reads, written into a dataset row by row."""

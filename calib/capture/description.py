@@ -1,0 +1,189 @@
+"""dataset.toml of a capture: written at the first row, and held against the rig at later ones."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, Literal
+
+import tomli_w
+from pydantic import ValidationError
+
+from calib.capture.writer import MANIFEST, GrowingFolder
+from calib.core.errors import InputError
+from calib.dataset.faults import parse_toml
+from calib.dataset.manifest import Manifest
+from calib.geometry.board import Board
+from calib.geometry.camera import Camera
+from calib.rig.devices import RigDevices
+from calib.rig.known import Role, known_board, known_lens
+
+Kind = Literal["gaze", "validation"]
+
+SMALLEST_NAME: Final = "capture"
+
+
+@dataclass(frozen=True)
+class Description:
+    """What a capture knows of the rig and of its references.
+
+    Parameters
+    ----------
+    serial, is_left
+        Of the rig.
+    lenses
+        Of "c1" and "c2" as far as they are known.
+    sizes
+        Of their pictures, px.
+    board
+        Of rig.toml, None without.
+    resolution_deg, u_alpha2_deg
+        A count of what is read and the standard uncertainty of a reading.
+    reference
+        What the depths are.
+    z_from_c1
+        Whether depths count from C1's optical centre.
+    """
+
+    serial: str
+    is_left: bool
+    lenses: dict[Role, Camera]
+    sizes: dict[Role, tuple[int, int]]
+    board: Board | None
+    resolution_deg: float
+    u_alpha2_deg: float
+    reference: str
+    z_from_c1: bool
+
+
+def describe(rig: RigDevices, *, u_alpha2_deg: float) -> Description:
+    """Return what is known of a rig before its calibration."""
+    roles: tuple[Role, ...] = ("c1", "c2")
+    known = {role: known_lens(rig, role) for role in roles}
+    is_virtual = rig.world is not None
+    baseline = rig.settings.nominal_baseline_mm
+    return Description(
+        serial=rig.serial,
+        is_left=baseline is not None and baseline < 0,
+        lenses={role: lens for role, lens in known.items() if lens is not None},
+        sizes={"c1": rig.c1.image_size, "c2": rig.c2.image_size},
+        board=known_board(rig),
+        resolution_deg=rig.settings.axis.resolution_deg,
+        u_alpha2_deg=u_alpha2_deg,
+        reference="ruler, simulated" if is_virtual else "measured by hand",
+        z_from_c1=is_virtual,
+    )
+
+
+def read_manifest(folder: GrowingFolder) -> Manifest | None:
+    """Return the manifest that a folder has already; None if it has none.
+
+    Raises
+    ------
+    InputError
+        If it is damaged.
+    """
+    text = folder.text(MANIFEST)
+    if text is None:
+        return None
+    raw = parse_toml(text, file=MANIFEST)
+    try:
+        return Manifest.model_validate(raw)
+    except ValidationError as error:
+        raise _bad(
+            f"has {error.error_count()} fault(s)", f"see `calib check {folder.root}`, mend them"
+        ) from None
+
+
+def refuse_other(manifest: Manifest, known: Description) -> None:
+    """Refuse to add rows of this rig to the dataset of another.
+
+    Raises
+    ------
+    InputError
+        With what differs.
+    """
+    new = "capture into a new folder"
+    if manifest.rig.serial is not None and manifest.rig.serial != known.serial:
+        raise _bad(f"is of rig {manifest.rig.serial}, the open one is {known.serial}", new)
+    if manifest.encoder is not None and manifest.encoder.resolution_deg != known.resolution_deg:
+        raise _bad(
+            f"[encoder] resolution_deg is {manifest.encoder.resolution_deg:g}, that of the rig is "
+            f"{known.resolution_deg:g}",
+            new,
+        )
+    for role, size in known.sizes.items():
+        section = manifest.camera(role)
+        if section is not None and section.image_size not in (None, size):
+            raise _bad(f"[cameras.{role}] image_size is not the camera's, {list(size)}", new)
+
+
+def add_sections(folder: GrowingFolder, known: Description, kind: Kind, table: str) -> None:
+    """Add to the manifest what the rows of a table need and it does not say; what stands stays."""
+    text = folder.text(MANIFEST)
+    present = {} if text is None else parse_toml(text, file=MANIFEST)
+    wanted = _sections(known, kind, table, name=_name(folder.root))
+    missing = {key: value for key, value in wanted.items() if key not in present}
+    if not missing:
+        return
+    if text is None:
+        folder.write_text(MANIFEST, tomli_w.dumps(missing))
+        return
+    # Keys before tables: only tables can be added to the end of a file.
+    tables = {key: value for key, value in missing.items() if isinstance(value, dict)}
+    folder.write_text(MANIFEST, text.rstrip("\n") + "\n\n" + tomli_w.dumps(tables))
+
+
+def _name(root: Path) -> str:
+    return root.resolve().name or SMALLEST_NAME
+
+
+def _sections(known: Description, kind: Kind, table: str, *, name: str) -> dict[str, Any]:
+    rows: dict[str, Any] = {"table": table, "reference": known.reference}
+    if known.z_from_c1:
+        rows["z_from"] = "c1"
+    sections: dict[str, Any] = {
+        "format": 1,
+        "name": name,
+        "title": f"Captured by rig {known.serial}",
+        "rig": {"c2": "left" if known.is_left else "right", "serial": known.serial},
+        "cameras": {role: _camera(known, role) for role in known.lenses},
+        "encoder": {
+            "resolution_deg": known.resolution_deg,
+            "u_alpha2_deg": known.u_alpha2_deg,
+        },
+        kind: rows,
+    }
+    if known.board is not None:
+        sections["board"] = _board(known.board)
+    return sections
+
+
+def _camera(known: Description, role: Role) -> dict[str, Any]:
+    lens = known.lenses[role]
+    return {
+        "image_size": list(lens.image_size),
+        "matrix": lens.matrix.tolist(),
+        "distortion": lens.distortion.tolist(),
+    }
+
+
+def _board(board: Board) -> dict[str, Any]:
+    described: dict[str, Any] = {
+        "type": board.type,
+        "columns": board.columns,
+        "rows": board.rows,
+        "square_mm": board.square_mm,
+        "target": list(board.target),
+    }
+    if board.type == "charuco":
+        described |= {
+            "dictionary": board.dictionary,
+            "marker_mm": board.marker_mm,
+            "legacy": board.legacy,
+        }
+    return described
+
+
+def _bad(what: str, remedy: str) -> InputError:
+    return InputError.single(where=MANIFEST, what=what, remedy=remedy)

@@ -1,0 +1,227 @@
+"""Gaze rows captured: gazed at, measured by hand, written."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+
+from calib.capture.description import Description, Kind, add_sections
+from calib.capture.writer import GrowingFolder
+from calib.core.version import __version__
+from calib.gaze.aim import Aiming, BlindAiming, EpipolarAiming
+from calib.gaze.gazing import Gazer
+from calib.gaze.placing import Placing
+from calib.gaze.row import GazeRow, Seen
+from calib.gaze.target import BoardCorner
+from calib.geometry.camera import Camera
+from calib.geometry.parameters import vector
+from calib.rig.devices import RigDevices
+from calib.rig.protocols import RigError
+
+LETTERS: Final[Mapping[Kind, str]] = {"gaze": "g", "validation": "v"}
+
+REFUSALS_MAX: Final = 10
+"""Targets in a row that cannot be gazed at before the capture ends: something is wrong."""
+
+NEARER, FARTHER = 0.85, 1.2
+"""Depths looked through around the one measured by hand, in parts of it."""
+
+SLACK_RAD: Final = float(np.deg2rad(8.0))
+"""Readings before calibration are as wrong as the zero of a yaw axis set by eye."""
+
+Announce = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Capture:
+    """What a capture needs.
+
+    Parameters
+    ----------
+    gazer
+        The rig.
+    hand
+        Puts targets up and measures their depths.
+    folder
+        Where the rows go.
+    known
+        What the manifest says of the rig.
+    kind
+        Which table.
+    u_z_mm
+        Standard uncertainty of a depth measured by hand where the hand states none, mm.
+    announce
+        Told of each row, and of what is refused.
+    """
+
+    gazer: Gazer
+    hand: Placing
+    folder: GrowingFolder
+    known: Description
+    kind: Kind
+    u_z_mm: float
+    announce: Announce
+
+    @property
+    def table(self) -> str:
+        """Name of the table."""
+        return f"{self.kind}.csv"
+
+
+@dataclass(frozen=True)
+class Captured:
+    """How a capture ended: rows in the table, targets that were refused now."""
+
+    rows: int
+    refused: int
+
+
+def capture_rows(capture: Capture, *, count: int) -> Captured:
+    """Add rows until the table has `count` of them, or too many targets are refused in a row."""
+    aiming = before_calibration(capture.gazer.rig, capture.known.lenses.get("c1"))
+    _note_start(capture)
+    have, refused, in_a_row = len(capture.folder.rows(capture.table)), 0, 0
+    while have < count and in_a_row < REFUSALS_MAX:
+        name = f"{LETTERS[capture.kind]}{have + 1:02d}"
+        try:
+            _take(capture, aiming, name)
+        except RigError as error:
+            refused, in_a_row = refused + 1, in_a_row + 1
+            capture.folder.note("refused", table=capture.table, id=name, reason=str(error))
+            capture.announce(f"{name}: {error}")
+            continue
+        have, in_a_row = have + 1, 0
+    return Captured(have, refused)
+
+
+def targets_before(folder: GrowingFolder) -> int:
+    """Return how many targets were put up for rows and refusals that the journal knows."""
+    return len(folder.events("row")) + len(folder.events("refused"))
+
+
+def before_calibration(rig: RigDevices, lens_c1: Camera | None) -> Callable[[float], Aiming]:
+    """Return where to look for a target of a known depth, mm, before there is a calibration."""
+    baseline = rig.settings.nominal_baseline_mm
+    if lens_c1 is None or baseline is None:
+        return lambda _: BlindAiming(rig.axis.range_rad)
+    theta = vector({"baseline_mm": baseline})
+    return lambda depth: EpipolarAiming(
+        theta, lens_c1, (NEARER * depth, FARTHER * depth), slack_rad=SLACK_RAD
+    )
+
+
+def _take(capture: Capture, aiming: Callable[[float], Aiming], name: str) -> None:
+    """Take one row and write it."""
+    capture.hand.place(name)
+    depth = capture.hand.depth_mm(name)
+    if depth is None:
+        raise RigError(f"{name}: there is no depth")
+    z, u = depth[0], capture.u_z_mm if depth[1] is None else depth[1]
+    row = _gazer_for(capture.gazer, aiming(z)).gaze(aiming(z), depth_mm=z)
+    capture.gazer.noise_c1 = capture.gazer.noise_c1.after(row.c1)
+    capture.gazer.noise_c2 = capture.gazer.noise_c2.after(row.c2)
+    pictures = {
+        "c1": f"{capture.kind}/c1/{name}.png",
+        "c2": f"{capture.kind}/c2/{name}.png",
+    }
+    kept = {"c1": row.c1[-1], "c2": row.c2[0]}
+    for role, picture in pictures.items():
+        capture.folder.picture(picture, kept[role].frame.pixels)
+    cells = _cells(capture, name, row, pictures) | {"z_mm": f"{z:.10g}", "u_z_mm": f"{u:.10g}"}
+    capture.folder.add_row(capture.table, list(cells), cells)
+    add_sections(capture.folder, capture.known, capture.kind, capture.table)
+    capture.folder.note("row", table=capture.table, id=name, **_journal(row, kept))
+    capture.announce(
+        f"{name}: {math.degrees(row.standstill.reading_rad):.4f} deg, {row.moves} moves, "
+        f"z {z:.1f} mm"
+    )
+
+
+def _gazer_for(gazer: Gazer, aiming: Aiming) -> Gazer:
+    """Return the gazer, with as many looks as a search over the whole range needs."""
+    if not isinstance(aiming, BlindAiming):
+        return gazer
+    low, high = gazer.law.range_rad
+    looks = 2 + math.ceil((high - low) / (gazer.law.field_rad / 2))
+    law = replace(gazer.law, looks_max=looks, moves_max=looks + gazer.law.moves_max)
+    return replace(gazer, law=law)
+
+
+def _cells(
+    capture: Capture, name: str, row: GazeRow, pictures: Mapping[str, str]
+) -> dict[str, str]:
+    """Return the cells of a row but for its depth.
+
+    A board is found again in its pictures by the chain, which then knows how well; any other
+    target is given by its pixels.
+    """
+    reading = f"{math.degrees(row.standstill.reading_rad):.9f}"
+    target = capture.gazer.target
+    if isinstance(target, BoardCorner) and target.board == capture.known.board:
+        return {
+            "id": name,
+            "image_c1": pictures["c1"],
+            "alpha2_deg": reading,
+            "image_c2": pictures["c2"],
+        }
+    return {
+        "id": name,
+        "u1_px": f"{row.pixel_c1[0]:.5f}",
+        "v1_px": f"{row.pixel_c1[1]:.5f}",
+        "alpha2_deg": reading,
+        "u2_px": f"{row.pixel_c2[0]:.5f}",
+    }
+
+
+def _note_start(capture: Capture) -> None:
+    rig = capture.gazer.rig
+    capture.folder.note(
+        "start",
+        time=_now(),
+        version=__version__,
+        table=capture.table,
+        serial=rig.serial,
+        devices={"c1": rig.c1.identity, "c2": rig.c2.identity, "axis": rig.axis.identity},
+        target=capture.gazer.target.name,
+        u_alpha2_deg=capture.known.u_alpha2_deg,
+    )
+
+
+def _journal(row: GazeRow, kept: Mapping[str, Seen]) -> dict[str, Any]:
+    """Return what the journal says of a row beyond the table."""
+    standing = row.standstill
+    return {
+        "time": _now(),
+        "standstill": {
+            "reading_deg": math.degrees(standing.reading_rad),
+            "counts": standing.counts,
+            "source": standing.source,
+            "approached": standing.approached,
+            "home": standing.home,
+            "since_ns": standing.since_ns,
+        },
+        "pixel_c1": row.pixel_c1.tolist(),
+        "pixel_c2": row.pixel_c2.tolist(),
+        "u_c1_px": row.u_c1_px,
+        "u_c2_px": row.u_c2_px,
+        "frames": {
+            role: {
+                "serial": seen.frame.serial,
+                "exposed_ns": seen.frame.exposed_ns,
+                "sure": seen.frame.sure,
+                "age_ms": round(seen.age_ms, 3),
+            }
+            for role, seen in kept.items()
+        },
+        "moves": row.moves,
+        "looks": row.looks,
+    }
+
+
+def _now() -> str:
+    return time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())

@@ -1,0 +1,124 @@
+"""`calib capture`: rows into a dataset, crash-safe, resumable."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from contextlib import ExitStack
+from typing import TYPE_CHECKING
+
+from calib.cli.arguments import add_output, depth, positive
+from calib.cli.gaze import add_target, make_gazer
+from calib.cli.rig_options import add_rig, check_path, last_check, opened
+from calib.core.errors import UsageError, harmless
+from calib.stages.output_guard import OutputKind
+
+if TYPE_CHECKING:
+    from calib.capture.description import Description
+    from calib.dataset.manifest import Manifest
+    from calib.geometry.camera import Camera
+    from calib.rig.devices import RigDevices
+
+DONE, NOT_ALL = 0, 3
+
+DATASET = OutputKind(
+    is_folder=True, marks=("dataset.toml", "session.jsonl", ".capture.lock"), is_dataset=True
+)
+
+DEFAULT_COUNT = 15
+DEFAULT_U_Z_MM = 1.0
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's own commands."""
+    commands = parser.add_subparsers(dest="capture_command", required=True, metavar="WHAT")
+    for kind, purpose in (
+        ("gaze", "rows to calibrate with"),
+        ("validation", "rows that are never used to fit"),
+    ):
+        add = commands.add_parser(kind, help=purpose)
+        add_output(add, "dataset", kind=DATASET, metavar="DATASET", help="folder to add to")
+        add_rig(add)
+        add.add_argument(
+            "--count", type=positive, default=DEFAULT_COUNT, metavar="N",
+            help=f"rows that the table then has; default: {DEFAULT_COUNT}",
+        )  # fmt: skip
+        add_target(add)
+        add.add_argument(
+            "--u-z-mm", type=depth, default=DEFAULT_U_Z_MM, metavar="MM",
+            help=f"standard uncertainty of depths typed in; default: {DEFAULT_U_Z_MM:g}",
+        )  # fmt: skip
+        add.set_defaults(run=_run)
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    """Capture and return the exit status: 3 if the rows did not come together."""
+    from calib.capture.description import describe, read_manifest, refuse_other
+    from calib.capture.rows import Capture, capture_rows, targets_before
+    from calib.capture.writer import growing
+    from calib.gaze.placing import placing_for
+
+    with ExitStack() as stack:
+        rig = stack.enter_context(opened(arguments.rig))
+        known = describe(rig, u_alpha2_deg=_u_alpha2_deg(arguments, rig))
+        folder = stack.enter_context(growing(arguments.dataset))
+        manifest = read_manifest(folder)
+        if manifest is not None:
+            refuse_other(manifest, known)
+        capture = Capture(
+            gazer=make_gazer(arguments, rig, _lens_c2(known, manifest)),
+            hand=placing_for(rig, _tell, done=targets_before(folder)),
+            folder=folder,
+            known=known,
+            kind=arguments.capture_command,
+            u_z_mm=arguments.u_z_mm,
+            announce=_tell,
+        )
+        ended = capture_rows(capture, count=arguments.count)
+    print(f"{harmless(str(arguments.dataset))}: {ended.rows} rows in {capture.table}")
+    if ended.rows < arguments.count:
+        _tell(f"calib: {ended.refused} targets were refused, the last ones in a row: see above")
+        return NOT_ALL
+    return DONE
+
+
+def _u_alpha2_deg(arguments: argparse.Namespace, rig: RigDevices) -> float:
+    """Return the standard uncertainty of a reading, as the check of the rig found it."""
+    from calib.rig.protocols import RigError
+
+    check = last_check(arguments.rig, rig.serial)
+    if check is None:
+        stated = rig.settings.axis.u_alpha2_deg
+        if stated is not None:
+            return stated
+        raise UsageError(
+            f"{check_path(arguments.rig)}: is not there, and without it nobody knows how good a "
+            f"reading is; run `calib rig check{f' {arguments.rig}' if arguments.rig else ''}` first"
+        )
+    if check.failed:
+        details = "; ".join(f"{one.name}: {one.detail}" for one in check.failed)
+        raise RigError(f"{check_path(arguments.rig)}: the rig is not fit: {details}")
+    return check.u_alpha2_deg
+
+
+def _lens_c2(known: Description, manifest: Manifest | None) -> Camera:
+    """Return C2's lens, from rig.toml or the dataset: without it nothing can be centred."""
+    import numpy as np
+
+    from calib.geometry.camera import Camera
+
+    if "c2" in known.lenses:
+        return known.lenses["c2"]
+    section = None if manifest is None else manifest.camera("c2")
+    if section is not None and section.matrix is not None:
+        distortion = np.array(section.distortion or ())
+        return Camera(np.array(section.matrix), distortion, known.sizes["c2"])
+    raise UsageError(
+        "C2's lens is not known, so that targets cannot be centred; add matrix and distortion to "
+        "[cameras.c2] of rig.toml, from its pictures of a board (`calib calibrate` on a dataset "
+        "with [cameras.c2] images)"
+    )
+
+
+def _tell(line: str) -> None:
+    print(harmless(line), file=sys.stderr, flush=True)

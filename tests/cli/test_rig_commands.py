@@ -8,15 +8,15 @@ from __future__ import annotations
 import csv
 import io
 import json
-import sys
+import signal
+import subprocess
+import time
 from functools import partial
-from pathlib import Path
 
 import command
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "reliability"))
-import short_chain
+from tests.reliability import short_chain
 
 RIG = """\
 format = 1
@@ -115,6 +115,38 @@ def test_from_capture_to_measured_depths(lab, call):
         assert abs(float(row["y_mm"]) - y) < 1.0
         assert 1 <= int(row["moves"]) <= 6
 
+    done = call(
+        "gaze", calibration, "--rig", "rig.toml", "--count", 4, "--follow", "--accept-failed"
+    )
+    assert done.status == 0, done.err
+    assert len({row["x_mm"] for row in rows(done.out)}) == 4
+    refused_rigs(call, lab, calibration)
+    interrupted(lab, calibration)
+
+
+def interrupted(lab, calibration):
+    """End a gaze by Ctrl-C: rows so far are kept, whole."""
+    (lab / "truth.jsonl").unlink()
+    arguments = ("gaze", calibration, "--rig", "rig.toml", "--count", "100000", "--accept-failed")
+    with subprocess.Popen(
+        [command.CALIB, *arguments, "--out", "live.csv"], stderr=subprocess.PIPE, text=True
+    ) as running:
+        deadline = time.monotonic() + 120
+        while time.monotonic() < deadline:
+            if (lab / "truth.jsonl").exists() and len(true_targets(lab)) > 3:
+                break
+            time.sleep(0.02)
+        running.send_signal(signal.SIGINT)
+        _, said = running.communicate(timeout=60)
+    assert running.returncode == 128 + signal.SIGINT, said
+    assert "Traceback" not in said
+    kept = rows((lab / "live.csv").read_text())
+    assert len(kept) >= 3
+    assert all(row["status"] == "ok" for row in kept)
+
+
+def refused_rigs(call, lab, calibration):
+    """Another rig, another size of pictures and another target are refused by name."""
     other = RIG.replace("rig-07", "rig-08")
     (lab / "other.toml").write_text(other)
     done = call("gaze", calibration, "--rig", "other.toml")

@@ -18,6 +18,7 @@ from calib.images.contact_sheet import ContactSheet, Pictures, contact_sheet
 from calib.images.intrinsics.calibrate import Intrinsics
 from calib.images.result import ImageResult
 from calib.images.stages import (
+    Besides,
     Chosen,
     Known,
     KnownCamera,
@@ -95,7 +96,7 @@ def image_stages(dataset: Dataset, store: Store, seed: int) -> ImageStages:
             f"contact sheet {camera}", contact_sheet, folder, asked, corners[camera],
         ))
         # fmt: on
-    intrinsics = store.run_parallel(
+    intrinsics: Mapping[str, Staged[Intrinsics]] = store.run_parallel(
         {
             camera: stage(
                 f"intrinsics {camera}", images_stages.intrinsics,
@@ -106,7 +107,9 @@ def image_stages(dataset: Dataset, store: Store, seed: int) -> ImageStages:
         }
     )  # fmt: skip
     rig = _rig(dataset, intrinsics)
-    stereo = _stereo(dataset, store, corners, board, rig, seed)
+    stereo = _stereo(dataset, store, corners, board, rig, intrinsics, seed)
+    intrinsics = _refined(store, corners, intrinsics, stereo)
+    rig = _rig(dataset, intrinsics)
     sweep = _sweep(dataset, store, corners, board, intrinsics, stereo)
     shared = given("shared errors", Shared())
     if rig is not None:
@@ -207,7 +210,41 @@ def _rig(
         (both[0].camera, both[1].camera),
         (both[0].covariance, both[1].covariance),
         is_left=dataset.manifest.rig.is_left,
+        free=("c1" in intrinsics, "c2" in intrinsics),
     ))  # fmt: skip
+
+
+def _refined(
+    store: Store,
+    corners: Mapping[str, Staged[Corners]],
+    intrinsics: Mapping[str, Staged[Intrinsics]],
+    stereo: Staged[StereoReference] | None,
+) -> Mapping[str, Staged[Intrinsics]]:
+    """Return the intrinsics by the joint solve of lenses and pairs, where there is one."""
+    if stereo is None or stereo.failed is not None or not stereo.value.lenses:
+        return intrinsics
+    return {
+        name: found
+        if found.failed is not None
+        else store.run(stage(
+            f"refined intrinsics {name}", images_stages.refined,
+            found, optional(stereo), corners[name],
+        ))
+        for name, found in intrinsics.items()
+    }  # fmt: skip
+
+
+def _besides(dataset: Dataset, intrinsics: Mapping[str, Staged[Intrinsics]]) -> Besides:
+    """Return the images for lenses and rows, each once; validation is not used to fit."""
+    lens, rows = [], []
+    for which, name in enumerate(CAMERAS):
+        own = dataset.images.get(name, ()) if name in intrinsics else ()
+        rejected = intrinsics[name].value.rejected_views if name in intrinsics else ()
+        lens.append(tuple(image for image in own if image not in rejected))
+        columns = () if dataset.gaze is None else (dataset.gaze.image_c1, dataset.gaze.image_c2)
+        named = [image for image in columns[which] if image is not None] if columns else []
+        rows.append(tuple(dict.fromkeys(named)))
+    return Besides((lens[0], lens[1]), (rows[0], rows[1]))
 
 
 def _stereo(
@@ -216,6 +253,7 @@ def _stereo(
     corners: Mapping[str, Staged[Corners]],
     board: Staged[Any] | None,
     rig: Staged[CameraPair] | None,
+    intrinsics: Mapping[str, Staged[Intrinsics]],
     seed: int,
 ) -> Staged[StereoReference] | None:
     stated = dataset.manifest.stereo
@@ -230,7 +268,8 @@ def _stereo(
     )
     return store.run(stage(
         "stereo", images_stages.stereo,
-        corners["c1"], corners["c2"], given("pairs", pairs), board, rig, seed=seed,
+        corners["c1"], corners["c2"], given("pairs", pairs),
+        given("images besides", _besides(dataset, intrinsics)), board, rig, seed=seed,
     ))  # fmt: skip
 
 

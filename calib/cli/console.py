@@ -10,6 +10,7 @@ from typing import Any
 from tqdm import tqdm
 
 from calib.core.errors import harmless
+from calib.uncertainty.format import interval
 
 
 class Console:
@@ -60,7 +61,10 @@ def summary(out: Path) -> tuple[str, bool]:
             decided = " (identified by prior knowledge)" if by_prior else ""
             figures = f"{estimate['value']:12.5g} +- {estimate['std']:.2g}"
             if "q2.5" in estimate and name in fit.get("derived", {}):
-                figures += f" (95 %: {estimate['q2.5']:.5g} to {estimate['q97.5']:.5g})"
+                low, high = interval(
+                    estimate["q2.5"], estimate["q97.5"], uncertainty=estimate["std"]
+                )
+                figures += f" (95 %: {low} to {high})"
             lines.append(f"  {name:24s} {figures}{decided}")
     failed = [gate for gate in result["gates"] if not gate["passed"]]
     lines += [f"GATE FAILED  {gate['name']}: {gate['detail']}" for gate in failed]

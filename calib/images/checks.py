@@ -24,12 +24,13 @@ column or row more or less than stated misses by a good part of a square, 10 px 
 OUTLIER_SIGMAS = 5.0
 """A coordinate this many robust standard deviations off is an outlier: 1 of 10^6 normal errors."""
 
-_SIGMA_OF_MEDIAN = 1.4826
+SIGMA_OF_MEDIAN = 1.4826
+"""Standard deviation of a normal error over the median of its size."""
 
 
 def outlier_limit(residuals: FloatArray) -> float:
     """Return the size, px, at which a residual is an outlier among these; NaN are left out."""
-    return OUTLIER_SIGMAS * _SIGMA_OF_MEDIAN * float(np.nanmedian(np.abs(residuals)))
+    return OUTLIER_SIGMAS * SIGMA_OF_MEDIAN * float(np.nanmedian(np.abs(residuals)))
 
 
 def gate(name: str, passed: bool, detail: str, *, remedy: str) -> Gate:

@@ -15,6 +15,8 @@ from calib.images.contact_sheet import Pictures
 from calib.images.detection.find import detect
 from calib.images.detection.picture import read_grey
 from calib.images.intrinsics.calibrate import Intrinsics, calibrate_intrinsics
+from calib.images.intrinsics.refine import refine
+from calib.images.joint.gather import Extra
 from calib.images.stereo.reference import StereoReference, given_reference, stereo_reference
 from calib.images.stereo.solve import CameraPair
 from calib.images.sweep.solve import SweepReadings
@@ -101,22 +103,44 @@ class Pairs:
     transform_12: FloatArray | None
 
 
+@dataclass(frozen=True)
+class Besides:
+    """Images of C1 and C2 besides those of pairs: of lenses, less those rejected; of rows."""
+
+    lens: tuple[tuple[str, ...], tuple[str, ...]]
+    rows: tuple[tuple[str, ...], tuple[str, ...]]
+
+
 def stereo(
     corners_c1: Corners,
     corners_c2: Corners,
     pairs: Pairs,
+    besides: Besides,
     board: Board,
     rig: CameraPair,
     *,
     seed: SeedSequence,
 ) -> StereoReference:
-    """Solve the stereo reference, or take the pose given."""
+    """Solve the stereo reference with both lenses, or take the pose given."""
     views = corners_c1.select(pairs.images_c1), corners_c2.select(pairs.images_c2)
     if pairs.transform_12 is not None:
         return given_reference(
             views, board, rig, stems=pairs.stems, transform_12=pairs.transform_12
         )
-    return stereo_reference(views, board, rig, stems=pairs.stems, seed=_number(seed))
+    both = corners_c1, corners_c2
+    one, two = (
+        Extra(found.select(lens), found.select(rows))
+        for found, lens, rows in zip(both, besides.lens, besides.rows, strict=True)
+    )
+    number = _number(seed)
+    return stereo_reference(views, board, rig, stems=pairs.stems, seed=number, extra=(one, two))
+
+
+def refined(found: Intrinsics, reference: StereoReference | None, corners: Corners) -> Intrinsics:
+    """Return a camera's intrinsics by the joint solve, where there is one."""
+    lenses = () if reference is None else reference.lenses
+    own = [lens for lens in lenses if lens.name == found.name]
+    return refine(found, own[0], corners) if own else found
 
 
 @dataclass(frozen=True)

@@ -57,9 +57,12 @@ def _intrinsics(found: Intrinsics) -> dict[str, Any]:
     alternatives: dict[str, dict[str, Any]] = {}
     for fit in (found.selected, *found.alternatives):
         alternatives.setdefault(fit.backend, {})[fit.lens_model] = _lens(fit)
+    own = found.alternatives[0] if found.purposes else found.selected
+    refined = {"joint": {"images": dict(found.purposes)}} if found.purposes else {}
     return (
-        {"source": found.selected.backend}
+        {"source": own.backend}
         | _lens(found.selected)
+        | refined
         | {
             "covariance": found.covariance,
             "dispersion": found.dispersion,

@@ -56,10 +56,21 @@ class Lens(Part):
     board_warp_mm: Vector | None = None
 
 
+class JointLens(Part):
+    """A joint solve of lenses and pairs that refined the intrinsics."""
+
+    images: dict[Literal["lens", "pair", "row"], int] = Field(
+        description="images of the camera by what they were taken for"
+    )
+
+
 class Intrinsics(Lens):
     """The selected intrinsics of one camera."""
 
-    source: Literal["mrcal", "opencv", "given"]
+    source: Literal["mrcal", "opencv", "given"] = Field(
+        description="whose solve of the camera's own pictures; a joint solve may have refined it"
+    )
+    joint: JointLens | None = None
     covariance: Matrix | None = None
     dispersion: float | None = None
     selection: str | None = Field(None, description="why this solve was selected, in words")

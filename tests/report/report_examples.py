@@ -94,6 +94,9 @@ def _corners(rng: np.random.Generator) -> Corners:
     return Corners(NAMES, pixels, found, SIZE)
 
 
+CAMERA = Camera(np.array([[600.0, 0, 320], [0, 600, 240], [0, 0, 1]]), np.zeros(5), SIZE)
+
+
 def _fit(backend: str, lens: str, corners: Corners, rng: np.random.Generator) -> LensFit:
     focal = 600 + rng.normal(0, 0.3)
     matrix = np.array([[focal, 0, 320.0], [0, focal, 240.0], [0, 0, 1.0]])
@@ -134,6 +137,7 @@ def intrinsics(name: str, corners: Corners, rng: np.random.Generator) -> Intrins
         uncertainty=map_uncertainty(selected, at),
         differences=(compare(selected, rays_of(other, at), at),),
         validation=CrossValidation(
+            images=NAMES,
             lenses=("plumb-bob", "rational"),
             view_rms_px=rms,
             rms_px=np.nanmean(rms, axis=1),
@@ -147,6 +151,7 @@ def intrinsics(name: str, corners: Corners, rng: np.random.Generator) -> Intrins
         mrcal_version="2.4",
         gates=(Gate(f"{name}-coverage", passed=True, detail="94 % of the cells"),),
         warnings=(),
+        purposes={},
     )
 
 
@@ -170,9 +175,10 @@ def stereo(rng: np.random.Generator) -> StereoReference:
             poses=np.zeros((VIEWS, 6)),
             rejected=k,
             board_warp_mm=None,
+            cameras=(CAMERA, CAMERA),
         )
         for k, (backend, kind) in enumerate(
-            [("mrcal", "held"), ("opencv", "held"), ("mrcal", "free")]
+            [("joint", "free"), ("mrcal", "free"), ("opencv", "held"), ("joint", "held")]
         )
     )
     place = np.stack(
@@ -182,7 +188,7 @@ def stereo(rng: np.random.Generator) -> StereoReference:
     by_shared = np.zeros((VIEWS, 3, 2))
     miss = rng.uniform(0, 0.1, VIEWS)
     return StereoReference(
-        source="mrcal",
+        source="joint",
         stems=stems,
         turned=("p3",),
         transform_12=np.eye(4),
@@ -202,6 +208,7 @@ def stereo(rng: np.random.Generator) -> StereoReference:
             board_sigmas=rng.normal(0, 1, VIEWS),
         ),
         gates=(Gate("stereo-fit", passed=True, detail="rms 0.11 px"),),
+        lenses=(),
     )
 
 

@@ -5,19 +5,28 @@ from __future__ import annotations
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import Any
 
+import numpy as np
+
+from calib.core.arrays import FloatArray
 from calib.core.errors import EstimationError
 from calib.geometry.board import Board, Corners, LensFit
+from calib.geometry.camera import intrinsic_vector
+from calib.images.bundle import finite
 from calib.images.mrcal.call import MrcalMissingError
 from calib.images.mrcal.solves import (
     LENS_MODELS,
+    MIN_CORNERS,
     LensGrid,
     MrcalSolution,
+    Start,
     focal_start,
     lens_fits,
     solve,
     splined_lens,
 )
+from calib.images.pairs import single_view_pose
 
 PROCESSES = 2
 """Solves side by side, each a process of one thread; OpenCV needs little time beside them."""
@@ -63,10 +72,23 @@ class MrcalFits:
     version: str = "unknown"
 
 
+WORSE = 1.05
+"""A fit with a free board whose rms is larger than one with a flat board by this has not found the
+minimum: mrcal's own start, stereographic, fails on some lenses of more than 100 degrees."""
+
+
 def fit_mrcal(
-    corners: Corners, board: Board, *, lenses: Mapping[str, int], seed: int, grid: tuple[int, int]
+    corners: Corners,
+    board: Board,
+    *,
+    lenses: Mapping[str, int],
+    seed: int,
+    grid: tuple[int, int],
+    others: Mapping[str, LensFit],
 ) -> MrcalFits:
     """Return intrinsics by mrcal for each lens model, and with a splined one; the board may bow.
+
+    Where a fit fails, or is worse than another backend's, mrcal starts once more from that one.
 
     Parameters
     ----------
@@ -76,19 +98,31 @@ def fit_mrcal(
         Of mrcal's random numbers.
     grid
         Rows and columns of the grids of rays.
+    others
+        Fits of another backend to the same corners, by lens model.
     """
     focal = focal_start(corners, board)
     splined = splined_lens(corners, focal_px=focal)
     models = {name: LENS_MODELS[count] for name, count in lenses.items()} | {SPLINED: splined}
 
-    def attempt(model: str) -> MrcalSolution | Exception:
-        try:
-            return solve([corners], board, lens_model=model, seed=seed, focal_px=[focal], grid=grid)
-        except (EstimationError, MrcalMissingError) as error:
-            return error
+    def attempt(name: str) -> MrcalSolution | Exception:
+        first = _attempt(corners, board, models[name], seed=seed, focal_px=[focal], grid=grid)
+        other = others.get(name)
+        if other is None or isinstance(first, MrcalMissingError):
+            return first
+        if isinstance(first, MrcalSolution) and first.rms_px <= WORSE * other.rms_px:
+            return first
+        lens = intrinsic_vector(other.camera)[None]
+        start = Start(lens, np.zeros((0, 6)), _all_poses(other, corners, board))
+        again = _attempt(corners, board, models[name], seed=seed, start=start, grid=grid)
+        if isinstance(again, MrcalSolution) and (
+            not isinstance(first, MrcalSolution) or again.rms_px < first.rms_px
+        ):
+            return again
+        return first
 
     with ThreadPoolExecutor(PROCESSES) as pool:
-        answers = dict(zip(models, pool.map(attempt, models.values()), strict=True))
+        answers = dict(zip(models, pool.map(attempt, models), strict=True))
     solved = {name: a for name, a in answers.items() if isinstance(a, MrcalSolution)}
     missing = next((str(a) for a in answers.values() if isinstance(a, MrcalMissingError)), None)
     spline = solved.pop(SPLINED, None)
@@ -103,3 +137,23 @@ def fit_mrcal(
         missing=missing,
         version=next((s.version for s in solved.values()), "unknown"),
     )
+
+
+def _attempt(
+    corners: Corners, board: Board, model: str, **options: Any
+) -> MrcalSolution | EstimationError | MrcalMissingError:
+    """Return the solution, or why there is none."""
+    try:
+        return solve([corners], board, lens_model=model, **options)
+    except (EstimationError, MrcalMissingError) as error:
+        return error
+
+
+def _all_poses(fit: LensFit, corners: Corners, board: Board) -> FloatArray:
+    """Return the poses of a fit, (views, 6), with those of views that it left out."""
+    poses = fit.poses.copy()
+    points = board.object_points()
+    for i in np.flatnonzero(~finite(poses)):
+        if finite(corners.pixels[i]).sum() >= MIN_CORNERS:
+            poses[i] = single_view_pose(fit.camera, points=points, pixels=corners.pixels[i])[0]
+    return poses

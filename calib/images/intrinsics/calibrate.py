@@ -19,10 +19,10 @@ from calib.images.intrinsics.by_mrcal import MrcalFits, fit_mrcal
 from calib.images.intrinsics.by_opencv import LENSES, fit_opencv
 from calib.images.intrinsics.covariance import view_scores
 from calib.images.intrinsics.gates import (
-    LeftOut,
     intrinsics_gates,
     intrinsics_warnings,
     orientation_fault,
+    views_left_out,
 )
 from calib.images.intrinsics.maps import (
     GRID,
@@ -37,6 +37,7 @@ from calib.images.intrinsics.maps import (
     nodes,
     rays_of,
 )
+from calib.images.intrinsics.remarks import backend_warnings, better, picture_warnings
 from calib.images.intrinsics.validate import CrossValidation, cross_validate
 from calib.images.mrcal.solves import MIN_CORNERS, focal_start
 from calib.images.opencv import steady_opencv
@@ -61,8 +62,8 @@ class Intrinsics:
     selected
         The fit to use.
     covariance
-        Of its fx, fy, cx, cy and distortion, px and 1, shape (4 + k, 4 + k): that of the fit times
-        `dispersion`.
+        Of its fx, fy, cx, cy and distortion, px and 1, shape (4 + k, 4 + k), enlarged by
+        `dispersion`, as that of each fit is by its own.
     dispersion
         Variance of the estimate as the views show it over that which independent corner noise
         explains; below 1 as far as they prove it.
@@ -88,6 +89,9 @@ class Intrinsics:
         None without mrcal.
     gates, warnings
         What must hold, and what else the reader should know.
+    purposes
+        Images by what they were taken for ("lens", "pair", "row") where a joint solve refined the
+        estimate; empty where the camera's own pictures gave it.
     """
 
     name: str
@@ -107,6 +111,7 @@ class Intrinsics:
     mrcal_version: str | None
     gates: tuple[Gate, ...]
     warnings: tuple[str, ...]
+    purposes: Mapping[str, int]
 
     @property
     def camera(self) -> Camera:
@@ -141,7 +146,14 @@ def calibrate_intrinsics(corners: Corners, board: Board, *, camera: str, seed: i
         with steady_opencv():
             backends = _solve(corners, board, seed)
             validation = cross_validate(corners, board, backends.checked, points=backends.points)
-            return _assemble(corners, backends, validation, camera=camera, repeated=repeated)
+            return _assemble(
+                corners,
+                backends,
+                validation,
+                camera=camera,
+                repeated=repeated,
+                drawn=board.object_points(),
+            )
     except EstimationError as error:
         raise EstimationError(_diagnosis(corners, board, camera, error)) from error
 
@@ -179,7 +191,7 @@ def _solve(corners: Corners, board: Board, seed: int) -> _Backends:
     used = np.any([_views_of(fit) for fit in flat.values()], axis=0)
     unused = seen(corners.pixels) & ~used[:, None]
     kept = replace(corners, pixels=np.where(unused[..., None], np.nan, corners.pixels))
-    mrcal = fit_mrcal(kept, board, lenses=LENSES, seed=seed, grid=GRID)
+    mrcal = fit_mrcal(kept, board, lenses=LENSES, seed=seed, grid=GRID, others=flat)
     mrcal = replace(
         mrcal,
         fits={
@@ -268,10 +280,11 @@ def _assemble(
     *,
     camera: str,
     repeated: tuple[str, ...],
+    drawn: FloatArray,
 ) -> Intrinsics:
-    """Select a fit and judge it."""
+    """Select a fit and judge it; `drawn` is the flat board, mm, shape (corners, 3)."""
     lens, mrcal = validation.chosen, backends.mrcal
-    selected = mrcal.fits.get(lens, backends.checked[lens])
+    selected, worse = better(mrcal.fits.get(lens), backends.checked[lens])
     points = backends.points[lens]
     scores = view_scores(selected.camera, selected.poses, selected.residuals, points)
     dispersion = scores.dispersion()
@@ -281,16 +294,28 @@ def _assemble(
     at = nodes(inliers, corners.image_size)
     agreement, splined, others = _differences(enlarged, selected, backends, lens, at)
     unused = seen(corners.pixels).any(axis=-1) & ~_views_of(selected)
-    left_out = _left_out(corners, selected)
+    left_out = views_left_out(corners.images, corners.pixels, selected.residuals)
+    drawn_fit = backends.flat.get(lens)
+    flat = (
+        compare(enlarged, rays_of(drawn_fit, at), at)
+        if drawn_fit is not None and agreement is not None
+        else None
+    )
     gates = intrinsics_gates(
-        camera, enlarged, coverage, validation, agreement=agreement, left_out=left_out
+        camera,
+        enlarged,
+        coverage,
+        validation,
+        agreement=agreement,
+        flat=flat,
+        left_out=left_out,
     )
     return Intrinsics(
         name=camera,
-        selected=selected,
+        selected=enlarged,
         covariance=enlarged.covariance,
         dispersion=dispersion,
-        alternatives=tuple(fit for fit in backends.all if fit is not selected),
+        alternatives=tuple(_enlarged(fit, drawn) for fit in backends.all if fit is not selected),
         selection=_selection(selected, validation, backends),
         images=corners.images,
         rejected_views=tuple(corners.images[i] for i in np.flatnonzero(unused)),
@@ -303,11 +328,26 @@ def _assemble(
         mrcal_version=None if mrcal.missing else mrcal.version,
         gates=gates,
         warnings=(
-            *_picture_warnings(camera, corners, repeated, left_out.images),
-            *_backend_warnings(camera, mrcal),
+            *picture_warnings(camera, corners, repeated, left_out.images),
+            *backend_warnings(camera, mrcal),
+            *([f"{camera}: {worse}"] if worse else []),
             *intrinsics_warnings(camera, gates, dispersion=dispersion, splined=splined),
         ),
+        purposes={},
     )
+
+
+def _enlarged(fit: LensFit, drawn: FloatArray) -> LensFit:
+    """Return a fit with the covariance that its views bear out.
+
+    Parameters
+    ----------
+    drawn
+        Corners of the flat board, mm, shape (corners, 3).
+    """
+    points = deformed(drawn, fit.board_warp_mm)
+    factor = view_scores(fit.camera, fit.poses, fit.residuals, points).dispersion()
+    return replace(fit, covariance=fit.covariance * factor)
 
 
 def _differences(
@@ -335,46 +375,5 @@ def _selection(selected: LensFit, validation: CrossValidation, backends: _Backen
     if selected.backend == "mrcal":
         backend = "mrcal, which solves the deformation of the board too"
     else:
-        backend = "OpenCV, " + ("alone here" if mrcal.missing else "as mrcal found no solution")
+        backend = "OpenCV, " + ("alone here" if mrcal.missing else "as mrcal found none so good")
     return "; ".join([validation.reason, *backends.failed, f"by {backend}"])
-
-
-def _left_out(corners: Corners, selected: LensFit) -> LeftOut:
-    """Return the images of which the fit rejected over half of the corners."""
-    found = seen(corners.pixels).sum(axis=-1)
-    kept = seen(selected.residuals).sum(axis=-1)
-    out = np.flatnonzero(2 * kept < found)
-    rejected = int((found - kept)[out].sum())
-    return LeftOut(tuple(corners.images[i] for i in out), rejected)
-
-
-def _picture_warnings(
-    camera: str, corners: Corners, repeated: tuple[str, ...], inconsistent: tuple[str, ...]
-) -> tuple[str, ...]:
-    """Say what became of pictures that are not used."""
-    warnings = []
-    missed = [
-        name for name, who in zip(corners.images, corners.detector, strict=True) if who == "none"
-    ]
-    if missed:
-        warnings.append(
-            f"{camera}: no board found in {len(missed)} of {len(corners.images)} intrinsic images "
-            f"({', '.join(missed)})"
-        )
-    if repeated:
-        warnings.append(f"{camera}: repeats of other images are not used: {', '.join(repeated)}")
-    if inconsistent:
-        warnings.append(
-            f"{camera}: most corners of {', '.join(inconsistent)} contradict the other images "
-            "and were left out: look whether such a picture is blurred, turned, scaled, or taken "
-            "with another focus or camera, and name it in exclude = [...] of "
-            f"[cameras.{camera}]"
-        )
-    return tuple(warnings)
-
-
-def _backend_warnings(camera: str, mrcal: MrcalFits) -> tuple[str, ...]:
-    """Say which solves are missing."""
-    if mrcal.missing:
-        return (f"{camera}: {mrcal.missing}",)
-    return tuple(f"{camera}: mrcal, {lens}: {why}" for lens, why in mrcal.failed.items())

@@ -43,6 +43,17 @@ all over the picture scatter by 0.4."""
 AGREEMENT_MAX = 1.0
 """Backends see the same corners, so they must agree within what each says it does not know."""
 
+AGREEMENT_MAX_PX = 1.0
+"""And within this over the covered imager, whatever they say: a solve that failed knows nothing and
+says so."""
+
+FLAT_MAX_PX = 2.0
+"""By this at most may OpenCV on the board as drawn differ: a bow of 0.5 mm of a board of 300 mm
+makes 1 px of a lens of 800 px."""
+
+WORSE = 1.1
+"""Ratio of rms by which the fit of record may be worse than another one of the same corners."""
+
 DISPERSION_WARN = 2.0
 """Variance between views over that of corner noise: twenty views of pure noise give 1.0 +- 0.2."""
 
@@ -65,6 +76,19 @@ class LeftOut:
 
     images: tuple[str, ...]
     corners: int
+
+
+def views_left_out(images: tuple[str, ...], pixels: FloatArray, residuals: FloatArray) -> LeftOut:
+    """Return the images of which a fit rejected over half of the corners.
+
+    Parameters
+    ----------
+    pixels, residuals
+        Corners found, and residuals of those used, px, shape (views, corners, 2); NaN elsewhere.
+    """
+    found, kept = finite(pixels).sum(axis=-1), finite(residuals).sum(axis=-1)
+    out = np.flatnonzero(2 * kept < found)
+    return LeftOut(tuple(images[i] for i in out), int((found - kept)[out].sum()))
 
 
 def orientation_fault(poses: FloatArray) -> str | None:
@@ -108,6 +132,7 @@ def intrinsics_gates(
     *,
     agreement: LensDifference | None,
     left_out: LeftOut,
+    flat: LensDifference | None = None,
 ) -> tuple[Gate, ...]:
     """Return the gates on the intrinsics of one camera.
 
@@ -118,7 +143,9 @@ def intrinsics_gates(
     fit
         The one selected, its covariance enlarged by the dispersion.
     agreement
-        Difference to the other backend, where there is one.
+        Difference to the other backend on the same board, where there is one.
+    flat
+        Difference to OpenCV on the board as drawn.
     left_out
         Pictures of which the fit rejected most corners.
     """
@@ -132,15 +159,23 @@ def intrinsics_gates(
         gates.append(
             gate(
                 f"{name}-backends",
-                agreement.ratio <= AGREEMENT_MAX,
+                agreement.ratio <= AGREEMENT_MAX
+                and agreement.rms_px <= AGREEMENT_MAX_PX
+                and (flat is None or flat.rms_px <= FLAT_MAX_PX),
                 f"{agreement.first} and {agreement.second} differ by {agreement.rms_px:.3f} px rms "
-                f"over the covered imager, {agreement.ratio:.2f} of their stated uncertainty (at "
-                f"most {AGREEMENT_MAX:g})",
+                f"over the covered imager (at most {AGREEMENT_MAX_PX:g}), {agreement.ratio:.2f} of "
+                f"their stated uncertainty (at most {AGREEMENT_MAX:g})" + _flat_words(flat),
                 remedy="compare the difference map with the coverage and add pictures where it is "
-                "large",
+                "large; a board that is not flat needs a stiffer one",
             )
         )
     return tuple(gates)
+
+
+def _flat_words(flat: LensDifference | None) -> str:
+    if flat is None:
+        return ""
+    return f"; OpenCV on the board as drawn by {flat.rms_px:.3f} px (at most {FLAT_MAX_PX:g})"
 
 
 def _residual_gate(name: str, fit: LensFit, left_out: LeftOut) -> Gate:

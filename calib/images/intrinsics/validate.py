@@ -35,6 +35,8 @@ class CrossValidation:
 
     Parameters
     ----------
+    images
+        Of the views.
     lenses
         Names of the lens models, simplest first.
     view_rms_px
@@ -56,6 +58,7 @@ class CrossValidation:
         The figures that decided.
     """
 
+    images: tuple[str, ...]
     lenses: tuple[str, ...]
     view_rms_px: FloatArray
     rms_px: FloatArray
@@ -107,6 +110,7 @@ def cross_validate(
     folds = parameters[chosen][:, :4]
     spread = folds - folds.mean(axis=0)
     return CrossValidation(
+        images=corners.images,
         lenses=lenses,
         view_rms_px=np.sqrt(squares),
         rms_px=np.sqrt(np.nansum(squares * weight, axis=1) / weight.sum(axis=1)),

@@ -46,14 +46,13 @@ _STEREOGRAPHIC = 2.0
 
 
 @dataclass(frozen=True)
-class Held:
-    """Known intrinsics, and where to start the poses.
+class Start:
+    """Intrinsics, and where to start the poses.
 
     Parameters
     ----------
     intrinsics
-        fx, fy, cx, cy and distortion of each camera, px and 1, shape (cameras, p); they stay as
-        they are.
+        fx, fy, cx, cy and distortion of each camera, px and 1, shape (cameras, p).
     camera_from_first
         Rotation vector, rad, and translation, mm, from the first camera's frame to each further
         camera's, shape (cameras - 1, 6).
@@ -146,7 +145,8 @@ def solve(
     lens_model: str,
     seed: int,
     focal_px: Sequence[float] | None = None,
-    held: Held | None = None,
+    held: Start | None = None,
+    start: Start | None = None,
     warp: bool = True,
     grid: tuple[int, int] = (12, 16),
 ) -> MrcalSolution:
@@ -164,6 +164,8 @@ def solve(
         First guess for each camera, good to a factor of two; by default from the homographies.
     held
         Known intrinsics: only poses, and the deformation of the board, are solved.
+    start
+        Where to start in place of mrcal's own estimate.
     warp
         Whether the board may be bowed.
     grid
@@ -187,10 +189,11 @@ def solve(
         "grid": list(grid),
     }
     arrays = request.arrays()
-    if held is not None:
-        arrays["start_intrinsics"] = held.intrinsics
-        arrays["start_cameras"] = held.camera_from_first
-        arrays["start_frames"] = held.poses[request.views]
+    begin = held or start
+    if begin is not None:
+        arrays["start_intrinsics"] = begin.intrinsics
+        arrays["start_cameras"] = begin.camera_from_first
+        arrays["start_frames"] = begin.poses[request.views]
     arrays["header"] = np.array(json.dumps(header))
     return request.solution(call_worker(arrays), lens_model)
 

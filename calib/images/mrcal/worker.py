@@ -253,6 +253,9 @@ def solve(mrcal: Any, request: dict[str, Any], header: dict[str, Any]) -> dict[s
     if hold:
         problem.inputs.update(calobject_warp=None, do_optimize_calobject_warp=False)
         problem.optimize(lens_model, core=False, lens=False, reject=True)
+    elif "start_intrinsics" in request:
+        problem.inputs.update(calobject_warp=None, do_optimize_calobject_warp=False)
+        problem.optimize(lens_model, core=True, lens=True, reject=True)
     else:
         problem.solve_lens(lens_model)
     if header["warp"]:

@@ -7,7 +7,7 @@ the gazed corner in each pair: the depths that the gaze rows are calibrated agai
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,29 +17,29 @@ from calib.core.gate import Gate
 from calib.geometry.board import Board, Corners
 from calib.geometry.poses import pose_matrix, pose_vector, rotation
 from calib.images.bundle import finite
-from calib.images.checks import fit_gate, gate
+from calib.images.checks import fit_gate
+from calib.images.joint.gather import Extra
+from calib.images.joint.lens import RefinedLens, refined_lenses
+from calib.images.joint.solve import JointSolve
 from calib.images.mrcal.call import MrcalMissingError
 from calib.images.pairs import MIN_PAIRS, PairStart, start_pairs
+from calib.images.stereo.backends import (
+    as_stereo,
+    nothing_besides,
+    solve_held,
+    solve_jointly,
+    solve_mrcal_jointly,
+    solve_pairs_alone,
+)
+from calib.images.stereo.gates import agreement_gate, intrinsics_gate, pairs_gate, target_gates
 from calib.images.stereo.solve import (
     CameraPair,
     StereoSolve,
     joint_covariance,
     solve_mrcal,
-    solve_mrcal_free,
     solve_opencv,
 )
 from calib.images.stereo.triangulate import Targets, find_targets
-
-AGREEMENT_CHI2 = 22.5
-"""0.999 quantile of chi squared with 6 degrees of freedom."""
-
-DEPTH_STD_LIMIT = 0.02
-"""Relative standard uncertainty beyond which a depth is no reference: active gazing itself is good
-to 1 to 8 % (Xu and Wang, Table 2)."""
-
-BOARD_POSE_SIGMAS = 5.0
-"""Of 100 normal errors the largest is 2.6 standard deviations; corners of real boards are less
-normal than that."""
 
 ROLL_LIMIT_RAD = float(np.deg2rad(45.0))
 """Beyond, C2's centre column is nearer to a row of C1. The model's roll is a degree or two."""
@@ -53,6 +53,9 @@ INCONSISTENT_SHARE = 0.5
 """Of a pair's corners rejected: above it not a corner is wrong but the pair. Two pictures that were
 not taken together, or one upside down, keep a corner or two by chance."""
 
+MIN_VIEWS = 6
+"""Pictures of the lenses alone without which they have no opinion of their own."""
+
 GIVEN_SIGMA_PX = 0.1
 """Standard deviation of a corner coordinate where 1T2 is given and no solve tells it."""
 
@@ -64,7 +67,7 @@ class StereoReference:
     Parameters
     ----------
     source
-        "mrcal", "opencv" or "given": whose pose it is.
+        "joint" or "given": whose pose it is.
     stems
         Names of the pairs used.
     turned
@@ -85,6 +88,8 @@ class StereoReference:
         The gazed corner in each pair.
     gates
         What must hold before the reference may be used.
+    lenses
+        Those of the cameras whose intrinsics the joint solve found, C1 before C2.
     """
 
     source: str
@@ -99,6 +104,7 @@ class StereoReference:
     solves: tuple[StereoSolve, ...]
     targets: Targets
     gates: tuple[Gate, ...]
+    lenses: tuple[RefinedLens, ...]
 
 
 def stereo_reference(
@@ -108,17 +114,24 @@ def stereo_reference(
     *,
     stems: tuple[str, ...],
     seed: int,
+    extra: tuple[Extra, Extra] | None = None,
 ) -> StereoReference:
-    """Solve 1T2 by both backends and triangulate the target of each pair.
+    """Solve 1T2 and the lenses from all board images, and triangulate the target of each pair.
+
+    mrcal (on the same images) and OpenCV (on the pairs, the board flat) stand beside it as checks,
+    and so does the pose with the lenses held at what their own pictures gave.
 
     Parameters
     ----------
     corners
         Of C1 and C2; view i of both is the pair ``stems[i]``.
     rig
-        The cameras with the covariance of their intrinsics, which are held.
+        The cameras with the covariance of their intrinsics as their own pictures gave them; those
+        that are not `free` are held.
     seed
         Of mrcal's random numbers.
+    extra
+        Further images of the board by C1 and by C2; none by default.
 
     Raises
     ------
@@ -126,24 +139,32 @@ def stereo_reference(
         If there are too few pairs, or they cannot be pairs of this rig: a board miscounted, C1 and
         C2 swapped, C2 upside down, pictures that were not taken together.
     """
+    if extra is None:
+        extra = nothing_besides(corners)
     start = start_pairs(corners, board, cameras=rig.cameras)
-    solves, backend_gates = _solve(start, board, rig, seed)
-    inconsistent = _inconsistent_pairs(start, solves)
-    pairs_gate = _pairs_gate(tuple(stems[i] for i in start.pairs[inconsistent]), len(inconsistent))
+    record, joint, open_lens = _solve(start, corners, extra, board, rig)
+    inconsistent = _inconsistent_pairs(start, record)
+    gates = [pairs_gate(tuple(stems[i] for i in start.pairs[inconsistent]), len(inconsistent))]
     if inconsistent.any() and np.sum(~inconsistent) >= MIN_PAIRS:
         start = start.keep(~inconsistent)
-        solves, backend_gates = _solve(start, board, rig, seed)
-    record = solves[0]
+        record, joint, open_lens = _solve(start, corners, extra, board, rig)
     _check_together(record)
     _check_mounting(record.pose_12, is_left=rig.is_left)
+    if open_lens:
+        gates.append(
+            Gate("stereo-joint", False, f"no joint solve of lenses and pairs: {open_lens}")
+        )
+    others, backend_gates = _checks(record, joint, start, corners, board, rig, seed)
     used = tuple(stems[i] for i in start.pairs)
     targets = find_targets(
         start.pixels,
         board,
-        cameras=rig.cameras,
+        cameras=record.cameras,
         stems=used,
         pose_12=record.pose_12,
-        shared_covariance=joint_covariance(rig, record),
+        shared_covariance=(
+            joint_covariance(rig, record) if joint is None else joint.full_covariance()
+        ),
         sigma_px=record.sigma_px,
         warp_mm=record.board_warp_mm,
     )
@@ -160,9 +181,10 @@ def stereo_reference(
         turned=tuple(used[i] for i in np.flatnonzero(start.turned)),
         pose_12=record.pose_12,
         covariance=record.covariance,
-        solves=solves,
+        solves=(record, *others),
         targets=targets,
-        gates=(fit, pairs_gate, *backend_gates),
+        gates=(fit, *gates, *backend_gates),
+        lenses=() if joint is None else refined_lenses(joint),
     )
 
 
@@ -214,6 +236,7 @@ def given_reference(
         solves=(),
         targets=targets,
         gates=(),
+        lenses=(),
     )
 
 
@@ -227,6 +250,7 @@ def _reference(
     solves: tuple[StereoSolve, ...],
     targets: Targets,
     gates: tuple[Gate, ...],
+    lenses: tuple[RefinedLens, ...],
 ) -> StereoReference:
     """Return the result with what follows from the pose and the targets."""
     shift = pose_12[3:]
@@ -244,54 +268,91 @@ def _reference(
         rms_px=solves[0].rms_px if solves else float("nan"),
         solves=solves,
         targets=targets,
-        gates=(*gates, *_target_gates(targets)),
+        gates=(*gates, *target_gates(targets)),
+        lenses=lenses,
     )
 
 
 def _solve(
-    start: PairStart, board: Board, rig: CameraPair, seed: int
-) -> tuple[tuple[StereoSolve, ...], tuple[Gate, ...]]:
-    """Return the solves, the one of record first, and the gates on their agreement."""
-    with ThreadPoolExecutor(2) as pool:
-        held = pool.submit(solve_mrcal, start, board, rig, seed=seed)
-        free = pool.submit(solve_mrcal_free, start, board, rig, seed=seed)
-        plain = solve_opencv(start, board, rig)
+    start: PairStart,
+    corners: tuple[Corners, Corners],
+    extra: tuple[Extra, Extra],
+    board: Board,
+    rig: CameraPair,
+) -> tuple[StereoSolve, JointSolve | None, str]:
+    """Return the solve of record, the joint one, or why there is none."""
+    if not any(rig.free):
+        return solve_held(start, corners, board, rig), None, ""
     try:
-        record = held.result()
-    except MrcalMissingError as error:
-        return (plain,), (Gate("stereo-backends", True, str(error)),)
+        joint = solve_jointly(start, corners, extra, board, rig)
     except EstimationError as error:
-        alone = f"OpenCV alone, the cross-check is missing: {error}"
-        return (plain,), (Gate("stereo-backends", False, alone),)
-    agreement = _agreement_gate(record, plain)
+        return solve_held(start, corners, board, rig), None, str(error)
+    return as_stereo(joint, len(start.pairs)), joint, ""
+
+
+def _checks(
+    record: StereoSolve,
+    joint: JointSolve | None,
+    start: PairStart,
+    corners: tuple[Corners, Corners],
+    board: Board,
+    rig: CameraPair,
+    seed: int,
+) -> tuple[tuple[StereoSolve, ...], tuple[Gate, ...]]:
+    """Return what stands beside the solve of record, and the gates on it."""
+    known = replace(rig, cameras=record.cameras)
+    with ThreadPoolExecutor(1) as pool:
+        if joint is not None and all(rig.free):
+            waiting = pool.submit(solve_mrcal_jointly, joint, board, seed=seed)
+        else:
+            waiting = pool.submit(solve_mrcal, start, board, known, seed=seed)
+        others = [solve_opencv(start, board, known)]
+        held = record
+        if joint is not None:
+            held = solve_held(start, corners, board, rig)
+            others.append(held)
+        gates = [_intrinsics(held, joint, start, corners, board, rig)]
+        try:
+            others.insert(0, waiting.result())
+        except MrcalMissingError as error:
+            missing = Gate("stereo-backends", True, str(error))
+            return tuple(others), (missing, *gates)
+        except EstimationError as error:
+            alone = f"no solution by mrcal, the cross-check is missing: {error}"
+            return tuple(others), (Gate("stereo-backends", False, alone), *gates)
+    return tuple(others), (agreement_gate(record, tuple(others[:2]), start, board), *gates)
+
+
+def _intrinsics(
+    held: StereoSolve,
+    joint: JointSolve | None,
+    start: PairStart,
+    corners: tuple[Corners, Corners],
+    board: Board,
+    rig: CameraPair,
+) -> Gate:
+    """Compare the intrinsics as held, given or of the lens pictures, with those of the pairs."""
+    kinds = () if joint is None else joint.problem.images.kinds
+    if joint is not None and kinds.count("lens") < MIN_VIEWS:
+        same = (
+            "the pictures of the lenses are those of the pairs, so that they cannot contradict "
+            "each other"
+        )
+        return Gate("stereo-intrinsics", True, same)
     try:
-        joint = free.result()
-    except EstimationError:  # too few pairs for intrinsics of their own
-        return (record, plain), (agreement,)
-    return (record, plain, joint), (agreement, _intrinsics_gate(record, joint))
+        alone = solve_pairs_alone(start, corners, board, replace(rig, free=(True, True)))
+    except EstimationError:
+        few = "the pairs by themselves are too few for intrinsics of their own"
+        return Gate("stereo-intrinsics", True, few)
+    return intrinsics_gate(held, alone)
 
 
-def _inconsistent_pairs(start: PairStart, solves: tuple[StereoSolve, ...]) -> BoolArray:
+def _inconsistent_pairs(start: PairStart, record: StereoSolve) -> BoolArray:
     """Return which pairs do not fit the pose that the others share, shape (n,)."""
-    plain = next(solve for solve in solves if solve.backend == "opencv")
-    shown = finite(start.pixels).all(axis=0).sum(axis=-1)
-    kept = finite(plain.residuals).all(axis=0).sum(axis=-1)
-    inconsistent: BoolArray = np.asarray(shown - kept > INCONSISTENT_SHARE * shown)
-    return inconsistent
-
-
-def _pairs_gate(inconsistent: tuple[str, ...], count: int) -> Gate:
-    """Gate on pairs that contradict the others."""
-    if not inconsistent:
-        return Gate("stereo-pairs", True, f"all {count} pairs fit one pose of C2")
-    return Gate(
-        "stereo-pairs",
-        False,
-        f"{len(inconsistent)} of {count} pairs do not fit the pose of C2 that the others share: "
-        f"{', '.join(inconsistent)}; look whether their two pictures were taken together, of C1 "
-        "and C2 in this order, none turned, with C2 at its yaw; mend them, or name one picture of "
-        "each in exclude = [...] of [stereo]",
-    )
+    shown = finite(start.pixels).sum(axis=-1)
+    kept = finite(record.residuals).sum(axis=-1)
+    lost: BoolArray = np.asarray((shown - kept > INCONSISTENT_SHARE * shown).any(axis=0))
+    return lost
 
 
 def _check_together(record: StereoSolve) -> None:
@@ -322,76 +383,3 @@ def _check_mounting(pose_12: FloatArray, *, is_left: bool) -> None:
             "all pictures of C2 (intrinsics, pairs, rows, sweep) until what is up in C1 is up in "
             "C2, and state what follows from pixels (model, u2_px) for the turned ones"
         )
-
-
-def _agreement_gate(record: StereoSolve, plain: StereoSolve) -> Gate:
-    """Gate on the agreement of mrcal and OpenCV, which see the same corners and intrinsics."""
-    chi2 = _chi2(record, plain)
-    x, y = record.board_warp_mm or (0.0, 0.0)
-    return gate(
-        "stereo-backends",
-        chi2 <= AGREEMENT_CHI2,
-        f"mrcal and OpenCV differ by {_difference(record, plain)}, chi2 {chi2:.1f} of 6; rms "
-        f"{record.rms_px:.3f} and {plain.rms_px:.3f} px; mrcal finds the board deformed by "
-        f"{x:z.2f} mm along x and {y:z.2f} mm along y, OpenCV takes it to be flat",
-        remedy="if the deformation is large use a stiffer board, else look for misread boards "
-        "in the pairs",
-    )
-
-
-def _intrinsics_gate(record: StereoSolve, joint: StereoSolve) -> Gate:
-    """Gate on the pairs' own opinion of the intrinsics."""
-    chi2 = _chi2(record, joint, with_intrinsics=True)
-    return gate(
-        "stereo-intrinsics",
-        chi2 <= AGREEMENT_CHI2,
-        f"with intrinsics from the pairs alone the pose differs by {_difference(record, joint)}, "
-        f"chi2 {chi2:.1f} of 6",
-        remedy="the pairs contradict the intrinsics: was a lens refocused or moved in between?",
-    )
-
-
-def _target_gates(targets: Targets) -> tuple[Gate, ...]:
-    """Gates on the targets' depths: sharp enough, and confirmed by the board's pose in C1."""
-    if not targets.stems:
-        return ()
-    share = targets.depth_std_mm / targets.triangulated.position_mm[:, 2]
-    worst, far = int(np.argmax(share)), int(np.argmax(np.abs(targets.board_sigmas)))
-    apart = float(targets.board_sigmas[far])
-    depth = targets.triangulated.position_mm[far, 2]
-    other = targets.by_board.position_mm[far, 2]
-    return (
-        gate(
-            "stereo-depth",
-            share[worst] <= DEPTH_STD_LIMIT,
-            f"u(z)/z is {100 * share[worst]:.2f} % at worst, in pair {targets.stems[worst]} (limit "
-            f"{100 * DEPTH_STD_LIMIT:.0f})",
-            remedy="take more pairs, tilted and spread over depth and image",
-        ),
-        gate(
-            "stereo-board-pose",
-            abs(apart) <= BOARD_POSE_SIGMAS,
-            f"triangulated depth and board pose in C1 differ most in pair {targets.stems[far]}: "
-            f"{depth:.2f} and {other:.2f} mm, {apart:z.1f} standard deviations (limit "
-            f"{BOARD_POSE_SIGMAS:g})",
-            remedy="check square_mm, 1T2 and the intrinsics",
-        ),
-    )
-
-
-def _chi2(one: StereoSolve, two: StereoSolve, *, with_intrinsics: bool = False) -> float:
-    """Return the squared difference of two poses in their standard deviations.
-
-    Two solves of the same corners share much of their errors, so this is on the low side.
-    """
-    difference = one.pose_12 - two.pose_12
-    if with_intrinsics:
-        spread = one.covariance + two.covariance
-    else:
-        spread = one.noise_covariance + two.noise_covariance
-    return float(difference @ np.linalg.solve(spread, difference))
-
-
-def _difference(one: StereoSolve, two: StereoSolve) -> str:
-    difference = np.abs(one.pose_12 - two.pose_12)
-    return f"{1e3 * difference[:3].max():.2f} mrad and {difference[3:].max():.2f} mm"

@@ -49,6 +49,7 @@ CRITERIA = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 1000, 1e-12)
 """Some releases of OpenCV stop after 30 iterations by default, short of the minimum."""
 
 _REJECTION_ROUNDS = 3
+_PLUMB_BOB = 5
 
 
 @dataclass(frozen=True)
@@ -64,11 +65,14 @@ class CameraPair:
         where nothing is stated.
     is_left
         Whether C2 stands at -X of C1.
+    free
+        Whether each was calibrated from pictures, which a joint solve may use again, or given.
     """
 
     cameras: tuple[Camera, Camera]
     covariances: tuple[FloatArray, FloatArray]
     is_left: bool = False
+    free: tuple[bool, bool] = (False, False)
 
 
 @dataclass(frozen=True)
@@ -105,6 +109,8 @@ class StereoSolve:
         Corners discarded as outliers.
     board_warp_mm
         Bow of the board along x and y, mm, where the backend solves it; else None.
+    cameras
+        C1 and C2 as held or solved.
     """
 
     backend: str
@@ -120,6 +126,7 @@ class StereoSolve:
     poses: FloatArray
     rejected: int
     board_warp_mm: tuple[float, float] | None
+    cameras: tuple[Camera, Camera]
 
 
 def solve_opencv(start: PairStart, board: Board, rig: CameraPair) -> StereoSolve:
@@ -159,8 +166,9 @@ def solve_opencv(start: PairStart, board: Board, rig: CameraPair) -> StereoSolve
         poses=poses,
         rejected=2 * int(seen.sum() - used.sum()),
         board_warp_mm=None,
+        cameras=rig.cameras,
     )
-    return _with_covariance(solve, board, rig, warp_free=False)
+    return with_covariance(solve, board, rig, warp_free=False)
 
 
 def solve_mrcal(start: PairStart, board: Board, rig: CameraPair, *, seed: int) -> StereoSolve:
@@ -173,39 +181,21 @@ def solve_mrcal(start: PairStart, board: Board, rig: CameraPair, *, seed: int) -
     EstimationError
         If it fails, or the pairs do not determine the pose.
     """
-    lens_model, count = _lens_model(rig.cameras)
+    model, count = lens_model(rig.cameras)
     intrinsics = np.zeros((2, 4 + count))
     for row, camera in zip(intrinsics, rig.cameras, strict=True):
         vector = intrinsic_vector(camera)
         row[: len(vector)] = vector
     pose_21 = invert_pose(start.pose_12, np.zeros((6, 6)))[0]
-    held = solves.Held(intrinsics, pose_21[None], start.poses)
+    held = solves.Start(intrinsics, pose_21[None], start.poses)
     solution = solves.solve(
         _as_corners(start, rig.cameras),
         board,
-        lens_model=lens_model,
+        lens_model=model,
         seed=seed,
         held=held,
     )
-    return _with_covariance(_from_mrcal(solution, "held"), board, rig, warp_free=True)
-
-
-def solve_mrcal_free(start: PairStart, board: Board, rig: CameraPair, *, seed: int) -> StereoSolve:
-    """Solve pose and intrinsics jointly from the pairs alone with mrcal, the board deformable.
-
-    Raises
-    ------
-    MrcalMissingError, EstimationError
-        As `solve_mrcal`.
-    """
-    solution = solves.solve(
-        _as_corners(start, rig.cameras),
-        board,
-        lens_model=_lens_model(rig.cameras)[0],
-        seed=seed,
-        focal_px=[float(c.matrix[0, 0]) for c in rig.cameras],
-    )
-    return _from_mrcal(solution, "free")
+    return with_covariance(from_mrcal(solution, "held", rig.cameras), board, rig, warp_free=True)
 
 
 def joint_covariance(rig: CameraPair, solve: StereoSolve) -> FloatArray:
@@ -231,19 +221,23 @@ def _stereo_calibrate(
     views = np.flatnonzero(used.sum(axis=-1) >= MIN_CORNERS)
     pose_21 = invert_pose(start.pose_12, np.zeros((6, 6)))[0]
     c1, c2 = cameras
+    # Without its flag OpenCV takes k4 to k6 for 0, which of a rational lens is another lens.
+    count = max(len(camera.distortion) for camera in cameras)
+    lenses = [np.pad(camera.distortion, (0, count - len(camera.distortion))) for camera in cameras]
+    rational = cv2.CALIB_RATIONAL_MODEL if count > _PLUMB_BOB else 0
     with steady_opencv():
         result = cv2.stereoCalibrateExtended(
             [points[used[i]].astype(np.float32) for i in views],
             [start.pixels[0, i][used[i]].astype(np.float32) for i in views],
             [start.pixels[1, i][used[i]].astype(np.float32) for i in views],
             c1.matrix,
-            c1.distortion,
+            lenses[0],
             c2.matrix,
-            c2.distortion,
+            lenses[1],
             c1.image_size,
             rotation(pose_21[:3]),
             pose_21[3:, None].copy(),
-            flags=cv2.CALIB_FIX_INTRINSIC | cv2.CALIB_USE_EXTRINSIC_GUESS,
+            flags=cv2.CALIB_FIX_INTRINSIC | cv2.CALIB_USE_EXTRINSIC_GUESS | rational,
             criteria=CRITERIA,
         )
     turn, shift, turns, shifts = result[5], result[6], result[9], result[10]
@@ -271,7 +265,7 @@ def _residuals(
     return residuals
 
 
-def _lens_model(cameras: tuple[Camera, Camera]) -> tuple[str, int]:
+def lens_model(cameras: tuple[Camera, Camera]) -> tuple[str, int]:
     """Return mrcal's lens model that holds both cameras, and its number of coefficients."""
     count = max(len(camera.distortion) for camera in cameras)
     if count not in solves.LENS_MODELS:
@@ -288,7 +282,9 @@ def _as_corners(start: PairStart, cameras: tuple[Camera, Camera]) -> list[Corner
     ]
 
 
-def _from_mrcal(solution: solves.MrcalSolution, intrinsics: str) -> StereoSolve:
+def from_mrcal(
+    solution: solves.MrcalSolution, intrinsics: str, cameras: tuple[Camera, Camera]
+) -> StereoSolve:
     """Return mrcal's answer, which is C2 from C1, as the pose of C2 in C1."""
     covariance = solution.covariance
     if covariance is None:
@@ -308,10 +304,11 @@ def _from_mrcal(solution: solves.MrcalSolution, intrinsics: str) -> StereoSolve:
         poses=solution.poses,
         rejected=int(solution.rejected.sum()),
         board_warp_mm=solution.board_warp_mm,
+        cameras=cameras,
     )
 
 
-def _with_covariance(
+def with_covariance(
     solve: StereoSolve, board: Board, rig: CameraPair, *, warp_free: bool
 ) -> StereoSolve:
     """Return the solution with the covariance of its pose, linearised around it."""
@@ -371,7 +368,7 @@ def _dispersion(pairs: list[list[Block]], known: int) -> float:
 def _pair_blocks(
     solve: StereoSolve, i: int, points: FloatArray, cameras: tuple[Camera, Camera]
 ) -> list[Block]:
-    """Return the blocks of the two images of pair i, unknowns as in `_with_covariance`."""
+    """Return the blocks of the two images of pair i, unknowns as in `with_covariance`."""
     own, pose = solve.poses[i], solve.pose_12
     back = rotation(-pose[:3])
     one = transform(own, points)

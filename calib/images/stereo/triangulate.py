@@ -104,7 +104,7 @@ def triangulate(
     sigma_px
         Standard deviation of a coordinate, px.
     """
-    points = _midpoints(pixels, cameras, pose_12)
+    points = midpoints(pixels, cameras, pose_12)
     for _ in range(_NEWTON_STEPS):
         error, by_point, _ = _errors(points, pixels, cameras, pose_12)
         points = points - np.einsum("nak,nk->na", np.linalg.pinv(by_point), error)
@@ -224,7 +224,7 @@ def _require_ahead(
     stems: tuple[str, ...],
 ) -> None:
     """Raise EstimationError, with the pairs' names, unless all rays meet in front of C1."""
-    behind = _midpoints(pixels, cameras, pose_12)[:, 2] <= 0
+    behind = midpoints(pixels, cameras, pose_12)[:, 2] <= 0
     if behind.any():
         raise EstimationError(
             f"stereo: the rays of {np.sum(behind)} of {len(stems)} pairs meet behind C1, in "
@@ -233,7 +233,7 @@ def _require_ahead(
         )
 
 
-def _midpoints(
+def midpoints(
     pixels: FloatArray, cameras: tuple[Camera, Camera], pose_12: FloatArray
 ) -> FloatArray:
     """Return where the two rays of each point are nearest to each other, shape (n, 3)."""

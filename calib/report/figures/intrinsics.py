@@ -158,7 +158,7 @@ def draw_cross_validation(i: Intrinsics) -> Drawing:
     figure = new_figure(height_in=2.6)
     axes = figure.subplots()
     v = i.validation
-    place = np.arange(len(i.images))
+    place = np.arange(len(i.validation.images))
     for lens, rms in zip(v.lenses, v.view_rms_px, strict=True):
         style = plot_style(lens)
         chosen = lens == v.chosen
@@ -179,7 +179,7 @@ def draw_cross_validation(i: Intrinsics) -> Drawing:
         figure,
         f"Camera {i.name.upper()}: root mean square residual of views that were left out: {told}.",
         {
-            "image": i.images,
+            "image": i.validation.images,
             **{f"{lens}_px": rms for lens, rms in zip(v.lenses, v.view_rms_px, strict=True)},
         },
     )

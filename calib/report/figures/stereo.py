@@ -8,6 +8,7 @@ from calib.images.stereo.reference import StereoReference
 from calib.report.plotting import (
     BLACK,
     BLUE,
+    GREEN,
     VERMILLION,
     Column,
     Drawing,
@@ -21,35 +22,41 @@ from calib.report.plotting import (
 )
 from calib.uncertainty.montecarlo import NORMAL_FACTOR
 
-_BACKENDS = {"mrcal": PlotStyle(BLUE, "o"), "opencv": PlotStyle(VERMILLION, "s")}
+_STYLES = (
+    PlotStyle(BLUE, "o"),
+    PlotStyle(VERMILLION, "s"),
+    PlotStyle(BLACK, "v"),
+    PlotStyle(GREEN, "D"),
+)
 
 
 @in_house_style
 def draw_pairs(stereo: StereoReference) -> Drawing:
-    """Draw the residual of each pair in both cameras, by each solve with the intrinsics held."""
+    """Draw the residual of each pair in both cameras, by each solve."""
     figure = new_figure(height_in=2.9, margins=Margins(bottom=0.75))
     axes = figure.subplots()
     place = np.arange(len(stereo.stems))
     data: dict[str, Column] = {"pair": stereo.stems}
-    held = [solve for solve in stereo.solves if solve.intrinsics == "held"]
-    for k, solve in enumerate(held):
-        style = _BACKENDS.get(solve.backend, PlotStyle(BLACK, "v"))
+    for k, solve in enumerate(stereo.solves):
+        style, name = _STYLES[k % len(_STYLES)], f"{solve.backend}, lenses {solve.intrinsics}"
         for camera, rms in zip(("C1", "C2"), _rms(solve.residuals), strict=True):
             axes.plot(
-                place + 0.16 * (k - (len(held) - 1) / 2),
+                place + 0.16 * (k - (len(stereo.solves) - 1) / 2),
                 rms,
                 linestyle="none",
                 marker=style.marker,
                 color=style.colour,
                 mfc=style.colour if camera == "C1" else "white",
-                label=f"{solve.backend}, {camera}",
+                label=f"{name}, {camera}",
             )
-            data[f"{solve.backend}_{camera}_rms_px"] = rms
+            data[f"{solve.backend}_{solve.intrinsics}_{camera}_rms_px"] = rms
     label_rows(axes, stereo.stems, what="pair")
     axes.set_ylabel("rms residual / px")
     from_zero(axes)
     legend(figure, axes)
-    told = "; ".join(f"{s.backend} {s.rms_px:.3f} px" for s in held)
+    told = "; ".join(
+        f"{s.backend}, lenses {s.intrinsics}, {s.rms_px:.3f} px" for s in stereo.solves
+    )
     return Drawing(figure, f"Root mean square residual of {len(place)} stereo pairs: {told}.", data)
 
 

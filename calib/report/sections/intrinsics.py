@@ -33,6 +33,9 @@ from calib.report.plotting import picture
 from calib.results.calibration import Calibration
 from calib.uncertainty.format import fixed, significant
 
+FOLDED_RMS_PX = 1e4
+"""Beyond the size of pictures, the figures of an rms say no more."""
+
 DIFFERENCES_DRAWN = 2
 """The first ones: the other backend, and the splined lens model."""
 
@@ -46,7 +49,8 @@ def intrinsics(c: Calibration, _: ReportContext) -> Section | None:
             "Each camera was calibrated from its pictures of the board by OpenCV and by mrcal, "
             "each with several lens models. The lens model is the simplest that no larger one "
             "beats in predicting views that were left out; rms is the root mean square residual "
-            "per coordinate, the same for all."
+            "per coordinate, the same for all. Where there are stereo pairs, a joint solve of "
+            "both lenses, the pairs and the boards of the gaze rows then refines lens and pose."
         )
     ]
     for name, found in sorted(c.images.intrinsics.items()):
@@ -122,11 +126,16 @@ def _fits(i: Intrinsics) -> Table:
         f"Fits of {i.name.upper()}, ± standard uncertainty",
         heads,
         rows,
-        note="That of the selected fit is multiplied by the factor "
+        note="Each is multiplied by a factor, that of the selected fit by "
         f"{significant(i.dispersion**0.5)}: how far the views disagree with each other, over what "
         "the noise of their corners explains. Bow: at the middle, along the board's columns and "
         "rows.",
     )
+
+
+def _rms(value: float) -> Cell:
+    """Return an rms; of a lens that folds back inside the picture it has no bounds."""
+    return decimals(value, 3) if value < FOLDED_RMS_PX else words(f"over {FOLDED_RMS_PX:g}")
 
 
 def _short(name: str) -> str:
@@ -185,8 +194,8 @@ def _validation(i: Intrinsics) -> Table:
     rows = [
         (
             words(f"{lens} (chosen)" if lens == v.chosen else lens),
-            decimals(float(out), 3),
-            decimals(float(fitted), 3),
+            _rms(float(out)),
+            _rms(float(fitted)),
         )
         for lens, out, fitted in zip(v.lenses, v.rms_px, v.fitted_rms_px, strict=True)
     ]

@@ -38,7 +38,8 @@ def stereo(c: Calibration, _: ReportContext) -> Section | None:
         return None
     blocks: list[Block] = [
         Paragraph(
-            "With C2 held at one yaw, pairs of pictures of the board give the pose of C2 in C1 "
+            "With C2 held at one yaw, pairs of pictures of the board give the pose of C2 in C1, "
+            "solved together with both lenses and the shape of the board, "
             "and, by triangulation, the position of the target in each pair: the depths that the "
             "gaze rows are calibrated against."
         ),
@@ -69,9 +70,12 @@ def stereo(c: Calibration, _: ReportContext) -> Section | None:
     return Section("stereo", "Stereo reference", tuple(blocks))
 
 
+_JOINT = "a joint solve with the lenses, from all pictures of the board (validation left out)"
+
+
 def _facts(s: StereoReference) -> DefinitionList:
     return facts(
-        ("Pose by", {"given": "the manifest"}.get(s.source, s.source)),
+        ("Pose by", {"given": "the manifest", "joint": _JOINT}.get(s.source, s.source)),
         ("Distance of the centres", f"{plus_minus(s.baseline_mm, s.baseline_std_mm)} mm"),
         ("Pairs used", str(len(s.stems))),
         ("Boards read from the other end", ", ".join(s.turned)),
@@ -121,8 +125,10 @@ def _solves(s: StereoReference) -> Table:
         "Pose of C2 in C1 by each backend, ± standard uncertainty",
         heads,
         rows,
-        note="The factor is how far the pairs disagree with each other, over what the noise of "
-        "their corners explains.",
+        note="Free: lenses solved together with the pose, from all their pictures. Held, joint: "
+        "lenses as their own pictures gave them; held, OpenCV: as used, the board flat. The factor "
+        "is how far the pairs disagree with each other, over what the noise of their corners "
+        "explains.",
     )
 
 

@@ -1,0 +1,51 @@
+"""What the reader of intrinsics should know of pictures and backends."""
+
+from __future__ import annotations
+
+from calib.geometry.board import Corners, LensFit
+from calib.images.intrinsics.by_mrcal import MrcalFits
+from calib.images.intrinsics.gates import WORSE
+
+
+def better(first: LensFit | None, second: LensFit) -> tuple[LensFit, str]:
+    """Return the first fit unless the second is better by far, and why it is not the first."""
+    if first is None:
+        return second, ""
+    if first.rms_px <= WORSE * second.rms_px:
+        return first, ""
+    return second, (
+        f"{first.backend} ended at {first.rms_px:.3f} px rms and {second.backend} at "
+        f"{second.rms_px:.3f} px with the same lens model: that of {second.backend} is used"
+    )
+
+
+def picture_warnings(
+    camera: str, corners: Corners, repeated: tuple[str, ...], inconsistent: tuple[str, ...]
+) -> tuple[str, ...]:
+    """Say what became of pictures that are not used."""
+    warnings = []
+    missed = [
+        name for name, who in zip(corners.images, corners.detector, strict=True) if who == "none"
+    ]
+    if missed:
+        warnings.append(
+            f"{camera}: no board found in {len(missed)} of {len(corners.images)} intrinsic images "
+            f"({', '.join(missed)})"
+        )
+    if repeated:
+        warnings.append(f"{camera}: repeats of other images are not used: {', '.join(repeated)}")
+    if inconsistent:
+        warnings.append(
+            f"{camera}: most corners of {', '.join(inconsistent)} contradict the other images "
+            "and were left out: look whether such a picture is blurred, turned, scaled, or taken "
+            "with another focus or camera, and name it in exclude = [...] of "
+            f"[cameras.{camera}]"
+        )
+    return tuple(warnings)
+
+
+def backend_warnings(camera: str, mrcal: MrcalFits) -> tuple[str, ...]:
+    """Say which solves are missing."""
+    if mrcal.missing:
+        return (f"{camera}: {mrcal.missing}",)
+    return tuple(f"{camera}: mrcal, {lens}: {why}" for lens, why in mrcal.failed.items())

@@ -1,0 +1,148 @@
+"""What must hold before a stereo reference may be used."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from calib.core.arrays import FloatArray
+from calib.core.gate import Gate
+from calib.geometry.board import Board
+from calib.images.checks import gate
+from calib.images.pairs import PairStart
+from calib.images.stereo.solve import StereoSolve
+from calib.images.stereo.triangulate import Targets, midpoints
+
+AGREEMENT_CHI2 = 22.5
+"""0.999 quantile of chi squared with 6 degrees of freedom."""
+
+DEPTH_AGREEMENT = 0.003
+"""Relative difference in depth by which backends may differ, however uncertain they say they are:
+active gazing itself is good to 1 to 8 % (Xu and Wang, Table 2)."""
+
+DEPTH_STD_LIMIT = 0.02
+"""Relative standard uncertainty beyond which a depth is no reference: active gazing itself is good
+to 1 to 8 % (Xu and Wang, Table 2)."""
+
+BOARD_POSE_SIGMAS = 5.0
+"""Of 100 normal errors the largest is 2.6 standard deviations; corners of real boards are less
+normal than that."""
+
+
+def pairs_gate(inconsistent: tuple[str, ...], count: int) -> Gate:
+    """Gate on pairs that contradict the others."""
+    if not inconsistent:
+        return Gate("stereo-pairs", True, f"all {count} pairs fit one pose of C2")
+    return Gate(
+        "stereo-pairs",
+        False,
+        f"{len(inconsistent)} of {count} pairs do not fit the pose of C2 that the others share: "
+        f"{', '.join(inconsistent)}; look whether their two pictures were taken together, of C1 "
+        "and C2 in this order, none turned, with C2 at its yaw; mend them, or name one picture of "
+        "each in exclude = [...] of [stereo]",
+    )
+
+
+def agreement_gate(
+    record: StereoSolve, others: tuple[StereoSolve, ...], start: PairStart, board: Board
+) -> Gate:
+    """Gate on other backends: each must find the same depths, mrcal the same pose too.
+
+    OpenCV takes the board to be flat, so that it differs in the pose by what a bow does.
+    """
+    passed, told = True, []
+    for other in others:
+        apart = depth_difference(record, other, start, board)
+        passed &= apart <= DEPTH_AGREEMENT
+        text = f"{other.backend} ({_basis(other)}) differs by {difference(record, other)}"
+        if other.backend == "mrcal":
+            chi2 = squared_difference(record, other)
+            passed &= chi2 <= AGREEMENT_CHI2
+            text += f", chi2 {chi2:.1f} of 6 (limit {AGREEMENT_CHI2:g})"
+        told.append(
+            f"{text}, by {100 * apart:.3f} % in depth (limit {100 * DEPTH_AGREEMENT:g}), rms "
+            f"{other.rms_px:.3f} px"
+        )
+    x, y = record.board_warp_mm or (0.0, 0.0)
+    return gate(
+        "stereo-backends",
+        passed,
+        f"rms of the joint solve {record.rms_px:.3f} px, board deformed by {x:z.2f} mm along x and "
+        f"{y:z.2f} mm along y; " + "; ".join(told),
+        remedy="if the deformation is large use a stiffer board, else look for misread boards "
+        "in the pairs, and take more pairs, tilted and spread over depth and image",
+    )
+
+
+def _basis(solve: StereoSolve) -> str:
+    lens = "all lenses solved" if solve.intrinsics == "free" else "lenses held"
+    return lens if solve.board_warp_mm is not None else f"{lens}, flat board"
+
+
+def intrinsics_gate(held: StereoSolve, alone: StereoSolve) -> Gate:
+    """Gate on the pairs' own opinion of the intrinsics, against that of the lens pictures."""
+    chi2 = squared_difference(held, alone, both=True)
+    return gate(
+        "stereo-intrinsics",
+        chi2 <= AGREEMENT_CHI2,
+        f"with intrinsics from the pairs alone the pose differs by {difference(held, alone)} from "
+        f"that with intrinsics from their own pictures, chi2 {chi2:.1f} of 6",
+        remedy="the pairs contradict the intrinsics: was a lens refocused or moved in between?",
+    )
+
+
+def target_gates(targets: Targets) -> tuple[Gate, ...]:
+    """Gates on the targets' depths: sharp enough, and confirmed by the board's pose in C1."""
+    if not targets.stems:
+        return ()
+    share = targets.depth_std_mm / targets.triangulated.position_mm[:, 2]
+    worst, far = int(np.argmax(share)), int(np.argmax(np.abs(targets.board_sigmas)))
+    apart = float(targets.board_sigmas[far])
+    depth = targets.triangulated.position_mm[far, 2]
+    other = targets.by_board.position_mm[far, 2]
+    return (
+        gate(
+            "stereo-depth",
+            share[worst] <= DEPTH_STD_LIMIT,
+            f"u(z)/z is {100 * share[worst]:.2f} % at worst, in pair {targets.stems[worst]} (limit "
+            f"{100 * DEPTH_STD_LIMIT:.0f})",
+            remedy="take more pairs, tilted and spread over depth and image",
+        ),
+        gate(
+            "stereo-board-pose",
+            abs(apart) <= BOARD_POSE_SIGMAS,
+            f"triangulated depth and board pose in C1 differ most in pair {targets.stems[far]}: "
+            f"{depth:.2f} and {other:.2f} mm, {apart:z.1f} standard deviations (limit "
+            f"{BOARD_POSE_SIGMAS:g})",
+            remedy="check square_mm, 1T2 and the intrinsics",
+        ),
+    )
+
+
+def depth_difference(one: StereoSolve, two: StereoSolve, start: PairStart, board: Board) -> float:
+    """Return the greatest relative difference of the depths of the pairs' targets."""
+    depths = []
+    for solve in (one, two):
+        points = start.pixels[:, :, board.target_index]
+        used = np.isfinite(points).all(axis=(0, -1))
+        depths.append(midpoints(points[:, used], solve.cameras, solve.pose_12)[:, 2])
+    return float(np.abs(depths[1] / depths[0] - 1).max()) if len(depths[0]) else 0.0
+
+
+def squared_difference(one: StereoSolve, two: StereoSolve, *, both: bool = False) -> float:
+    """Return the squared difference of two poses in standard deviations.
+
+    Parameters
+    ----------
+    both
+        Whether the two have errors of their own; else they see the same corners, and the
+        covariance of the first counts.
+    """
+    apart: FloatArray = one.pose_12 - two.pose_12
+    spread = one.covariance + two.covariance if both else one.covariance
+    return float(apart @ np.linalg.solve(spread, apart))
+
+
+def difference(one: StereoSolve, two: StereoSolve) -> str:
+    """Return how far two poses are apart, in words."""
+    apart = np.abs(one.pose_12 - two.pose_12)
+    return f"{1e3 * apart[:3].max():.2f} mrad and {apart[3:].max():.2f} mm"

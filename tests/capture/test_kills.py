@@ -18,7 +18,7 @@ import pytest
 
 from calib.dataset.load import load_dataset
 from calib.images.detection.picture import read_grey
-from tests.cli.test_rig_commands import CHECK, RIG
+from tests.rig.checked_rig import CHECK, RIG
 
 CALIB = Path(sys.executable).with_name("calib")
 KILLS = 30

@@ -124,6 +124,31 @@ def test_an_encoder_on_the_load_reads_through_any_play(backlash):
             assert abs(standing.reading_rad - true_reading(rig)) <= COUNT / 2 + 1e-12
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_with_all_faults_at_once_no_reading_is_of_another_place(seed):
+    rng = np.random.default_rng(seed)
+    faults = {
+        "backlash_steps": float(rng.uniform(0, 10)),
+        "lost_steps_share": 0.05,
+        "stopped_share": 0.05,
+        "truncated": True,
+        "microstep_error": 0.05,
+        "early_done_ms": float(rng.uniform(0, 50)),
+        "ringing_ms": float(rng.uniform(0, 10)),
+    }
+    arrived = 0
+    with virtual_rig(seed=seed, **faults) as rig:
+        for wanted in rng.uniform(0.8, 2.3, 100):
+            try:
+                standing = rig.axis.move(float(wanted))
+            except (Interrupted, Stalled):
+                continue
+            arrived += 1
+            assert abs(standing.reading_rad - rig.world.yaw(standing.since_ns)) <= 1.5 * COUNT
+            assert abs(standing.reading_rad - wanted) <= 1.5 * STEP
+    assert arrived >= 70
+
+
 def test_microsteps_err_once_a_full_step_and_counts_do_not_see_it():
     off = []
     with virtual_rig(axis=OPEN_LOOP, microstep_error=0.05) as rig:

@@ -129,6 +129,15 @@ def positive(text: str) -> int:
     return whole(text, least=1)
 
 
+MOST_JOBS = 1024
+"""Processes on one machine."""
+
+
+def jobs(text: str) -> int:
+    """Return a number of processes."""
+    return whole(text, least=1, most=MOST_JOBS)
+
+
 def whole(text: str, *, least: int, most: int = MOST) -> int:
     """Return a whole number within bounds."""
     digits = text.isascii() and text.isdigit() and len(text) <= len(str(MOST))

@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from calib.cli.arguments import add_input, add_output, natural, positive
+from calib.cli.arguments import add_input, add_output, jobs, natural
 from calib.core.errors import harmless
 from calib.stages.interruption import interrupt_on
 from calib.stages.output_guard import OutputKind
@@ -34,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument("--seed", type=natural, default=0, metavar="N", help="default: 0")
     parser.add_argument(
-        "--jobs", type=positive, metavar="N",
+        "--jobs", type=jobs, metavar="N",
         help="datasets at a time here; default: as many as processors",
     )  # fmt: skip
     parser.add_argument(

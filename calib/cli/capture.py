@@ -11,7 +11,6 @@ from calib.cli.arguments import add_output, depth, positive
 from calib.cli.gaze import add_target, make_gazer
 from calib.cli.rig_options import add_rig, check_path, last_check, opened
 from calib.core.errors import UsageError, harmless
-from calib.rig.protocols import RigError
 from calib.stages.output_guard import OutputKind
 
 if TYPE_CHECKING:
@@ -85,6 +84,8 @@ def _run(arguments: argparse.Namespace) -> int:
 
 def _u_alpha2_deg(arguments: argparse.Namespace, rig: RigDevices) -> float:
     """Return the standard uncertainty of a reading, as the check of the rig found it."""
+    from calib.rig.protocols import RigError
+
     check = last_check(arguments.rig, rig.serial)
     if check is None:
         stated = rig.settings.axis.u_alpha2_deg

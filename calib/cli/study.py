@@ -5,12 +5,16 @@ from __future__ import annotations
 import argparse
 import shlex
 import sys
+from functools import partial
 from pathlib import Path
 
-from calib.cli.arguments import add_output, natural, positive
+from calib.cli.arguments import add_output, jobs, natural, whole
 from calib.stages.output_guard import OutputKind
 
 DONE, CLAIM_BROKEN = 0, 3
+
+MOST_RIGS = 1_000_000
+"""A month on a hundred processors."""
 
 JOURNAL = "rigs.jsonl"
 STUDY = OutputKind(is_folder=True, marks=(JOURNAL,))
@@ -23,7 +27,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="default: reports/study; finished rigs there are reused",
     )  # fmt: skip
     parser.add_argument(
-        "--rigs", type=positive, default=100, metavar="N", help="a condition; default: 100"
+        "--rigs",
+        type=partial(whole, least=1, most=MOST_RIGS),
+        default=100,
+        metavar="N",
+        help="a condition; default: 100",
     )
     parser.add_argument("--seed", type=natural, default=0, metavar="N", help="default: 0")
     parser.add_argument(
@@ -32,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "default: default",
     )  # fmt: skip
     parser.add_argument(
-        "--jobs", type=positive, default=1, metavar="N", help="processes here; default: 1"
+        "--jobs", type=jobs, default=1, metavar="N", help="processes here; default: 1"
     )
     parser.add_argument("--scheduler", metavar="ADDRESS", help="work on this Dask cluster instead")
 

@@ -35,11 +35,12 @@ def mrcal_identity() -> str | None:
             [mrcal_interpreter(), "-I", "-c", _ASK],
             stdin=subprocess.DEVNULL,
             capture_output=True,
-            text=True,
+            encoding="utf-8",
+            errors="backslashreplace",
             timeout=PATIENCE_S,
             check=False,
         )
     except (OSError, subprocess.SubprocessError):
         return None
     said = done.stdout.strip()
-    return said if done.returncode == 0 and said != "None" else None
+    return said if done.returncode == 0 and said not in ("", "None") else None

@@ -16,6 +16,7 @@ from calib.dataset.faults import MANIFEST
 from calib.dataset.manifest import CAMERAS
 from calib.dataset.messages import nearest, row_place, shown
 from calib.dataset.tables import GazeTable, LengthTable
+from calib.geometry.camera import on_centre_row, without_ray
 from calib.geometry.parameters import MODELS
 
 MIN_VIEWS = 6
@@ -45,6 +46,7 @@ def faults(dataset: Dataset, *, rows_to_come: bool = False) -> Iterator[Problem]
     yield from _unknown_pairs(dataset)
     yield from _unknown_ends(dataset)
     yield from _pixels_outside(dataset)
+    yield from _pixels_without_ray(dataset)
 
 
 def _other_side(dataset: Dataset) -> Iterator[Problem]:
@@ -305,3 +307,22 @@ def _pixels_outside(dataset: Dataset) -> Iterator[Problem]:
             bad = (values < -0.5) | (values > extent - 0.5)
             what = f"{{value}} is outside the image of {camera}, 0 to {extent - 1}"
             yield from _named(table, bad, column, what, "check image_size and the columns' order")
+
+
+def _pixels_without_ray(dataset: Dataset) -> Iterator[Problem]:
+    """Yield pixels of given cameras in the picture that no ray of the lens reaches."""
+    remedy = "check the pixel, and the distortion of the camera, which folds back before it"
+    for table in dataset.rows:
+        for name, column in (("c1", "u1_px"), ("c2", "u2_px")):
+            camera = dataset.cameras.get(name)
+            if camera is None:
+                continue
+            pixels = on_centre_row(camera, table.u2_px)
+            if name == "c1":
+                pixels = np.column_stack([table.u1_px, table.v1_px])
+            size = np.array(camera.image_size)
+            with np.errstate(invalid="ignore"):
+                inside = ((pixels > -0.5) & (pixels < size - 0.5)).all(axis=1)
+            bad = inside & without_ray(camera, pixels)
+            what = f"{{value}}: the lens of {name} has no ray there"
+            yield from _named(table, bad, column, what, remedy)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final, Protocol
+from typing import Final, Protocol, Self
 
 import cv2
 import numpy as np
@@ -18,11 +18,14 @@ from calib.core.errors import UsageError
 from calib.dataset.manifest import DICTIONARIES
 from calib.dataset.messages import suggestion
 from calib.geometry.board import Board
+from calib.geometry.camera import Camera
 from calib.images.detection.board import find_chessboard
 from calib.images.detection.charuco import CharucoFinder
 from calib.images.detection.picture import Grey
 
-KINDS: Final = ("board", "corner:COLUMN,ROW", "tag:DICTIONARY:ID", "blob", "cross")
+KINDS: Final = (
+    "board", "corner:COLUMN,ROW", "tag:DICTIONARY:ID", "blob", "cross", "plate:CORNER",
+)  # fmt: skip
 """Targets as a user names them."""
 
 DARK_SHARE: Final = 0.5
@@ -72,24 +75,39 @@ class Target(Protocol):
     def find(self, grey: Grey) -> Sighting | None:
         """Return where it is, shape (height, width) of the picture; None if it is not seen."""
 
+    def through(self, lens: Camera) -> Target:
+        """Return the target as it is found in the pictures of a lens."""
+
+    def fault(self, grey: Grey) -> str:
+        """Return why it is not seen in a picture as far as that can be said; "" else."""
+
+
+class _AnyLens:
+    """A target so small that no lens bends it, and of which a picture says nothing else."""
+
+    def through(self, lens: Camera) -> Self:  # noqa: ARG002 - of the protocol
+        """Return the target itself."""
+        return self
+
+    def fault(self, grey: Grey) -> str:  # noqa: ARG002 - of the protocol
+        """Return nothing."""
+        return ""
+
 
 FLOOR_PX: Final = 0.025
 """Standard uncertainty of a large and sharp target's coordinate that repeats do not show. On
-rendered pictures of 640 x 480 px, 60 poses a kind, tilted up to 30 degrees: chessboard corners with
-squares of 6, 10 and 16 px 0.054, 0.029 and 0.018 px; tags of 24, 48 and 80 px 0.034, 0.022 and
-0.020; crosses with arms of 24 and 40 px 0.021 and 0.023; discs of 12 and 24 px 0.024 and 0.054."""
+rendered pictures of 640 x 480 px, 60 poses a kind, tilted up to 30 degrees: tags of 24, 48 and 80
+px 0.034, 0.022 and 0.020 px; crosses with arms of 24 and 40 px 0.021 and 0.023; discs of 12 and 24
+px 0.024 and 0.054."""
 
-
-CORNER_FLOOR_PX: Final = 0.015
-"""The same of a corner between squares of 20 px and more. Of 150 poses each, two pictures a pose,
-lenses with a point spread of 0.4, 0.7 and 1 px, squares of 10, 13, 16, 20 and 26 px: 0.028, 0.019,
-0.016, 0.014 and 0.012 px in the mean, 0.030, 0.021, 0.018, 0.014 and 0.013 px for the worst lens,
-the noise of the pictures taken off."""
+CORNER_FLOOR_PX, CORNER_FLOOR_SQUARE = 0.008, 0.32
+"""The same of chessboard corners: a constant, and px times px of the squares' side. Rendered, 100
+poses each: squares of 6, 8, 12, 18, 28 and 36 px 0.054, 0.038, 0.024, 0.018, 0.013 and 0.011."""
 
 
 def _corner_floor(spacing_px: float) -> float:
     """Return a corner's floor, px; small squares leave it little edge to be found by."""
-    return max(CORNER_FLOOR_PX, 0.28 / spacing_px)
+    return float(np.hypot(CORNER_FLOOR_PX, CORNER_FLOOR_SQUARE / spacing_px))
 
 
 def _tag_floor(side_px: float) -> float:
@@ -102,7 +120,7 @@ def _blob_floor(diameter_px: float) -> float:
 
 
 @dataclass(frozen=True)
-class BoardCorner:
+class BoardCorner(_AnyLens):
     """One corner of a chessboard or ChArUco board."""
 
     board: Board
@@ -132,7 +150,7 @@ def _spacing(pixels: FloatArray, board: Board) -> float:
 
 
 @dataclass(frozen=True)
-class Tag:
+class Tag(_AnyLens):
     """The centre of one ArUco marker or AprilTag: where the diagonals of its corners cross."""
 
     dictionary: str
@@ -173,7 +191,7 @@ def _crossing(quad: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True)
-class Blob:
+class Blob(_AnyLens):
     """The one dark disc before a bright ground: its centre of darkness. It has no identity.
 
     A disc's centre of area is not the image of its centre; at small discs the difference is below
@@ -214,7 +232,7 @@ def _is_disc(labels: FloatArray, stats: FloatArray, number: int, size: int) -> b
 
 
 @dataclass(frozen=True)
-class Cross:
+class Cross(_AnyLens):
     """The crossing of four squares, dark and bright in turn (a checker target), anywhere."""
 
     name: str = "cross"
@@ -272,8 +290,9 @@ def target(text: str, board: Board | None) -> Target:
         "tag": lambda: _tag(text, rest),
         "blob": Blob,
         "cross": Cross,
+        "plate": lambda: _on_plate(text, rest),
     }
-    if kind not in makers or (bool(rest) != (kind in {"corner", "tag"})):
+    if kind not in makers or (bool(rest) != (kind in {"corner", "tag", "plate"})):
         raise UsageError(f"--target {text}: is no target; they are {', '.join(KINDS)}")
     return makers[kind]()
 
@@ -296,6 +315,15 @@ def _on_board(text: str, board: Board | None) -> BoardCorner:
         )
     described = {name: getattr(board, name) for name in board.__dataclass_fields__}
     return BoardCorner(Board(**(described | {"target": (column, row)})), text)
+
+
+def _on_plate(text: str, rest: str) -> Target:
+    # Edges are found by more than this room's small targets need.
+    from calib.gaze.plate import CORNERS, PlateCorner
+
+    if rest not in CORNERS:
+        raise UsageError(f"--target {text}: a plate has the corners {', '.join(CORNERS)}")
+    return PlateCorner(rest)
 
 
 def _tag(text: str, rest: str) -> Tag:

@@ -136,6 +136,24 @@ def normalise(camera: Camera, pixels: FloatArray, *, strict: bool = True) -> Flo
     return xy
 
 
+def on_centre_row(camera: Camera, column: FloatArray) -> FloatArray:
+    """Return pixels, shape (n, 2), of which a table gives the column alone, shape (n,).
+
+    Near the centre column the row hardly matters.
+    """
+    return np.stack([column, np.full(len(column), camera.matrix[1, 2])], axis=1)
+
+
+def without_ray(camera: Camera, pixels: FloatArray) -> BoolArray:
+    """Return which pixels, shape (n, 2), no ray of the lens reaches, shape (n,); NaN is none."""
+    blind = np.zeros(len(pixels), dtype=np.bool_)
+    given = np.flatnonzero(np.isfinite(pixels).all(axis=1))
+    if len(given):
+        reached = np.isfinite(normalise(camera, pixels[given], strict=False)).all(axis=1)
+        blind[given[~reached]] = True
+    return blind
+
+
 def normalise_jacobian(camera: Camera, pixels: FloatArray) -> Normalised:
     """Return normalised coordinates of pixels, shape (n, 2), with derivatives.
 

@@ -14,10 +14,10 @@ from calib.core.errors import InputError
 from calib.dataset.folder import decode
 from calib.dataset.readers import read_lengths
 from calib.dataset.tables import GazeTable, LengthTable
-from calib.geometry.camera import Camera, normalise
+from calib.geometry.camera import Camera, on_centre_row, without_ray
 from calib.geometry.plane import OBSERVABLE, Gaze
 from calib.instrument.calibration_file import Measuring
-from calib.rows.from_table import ImageObservations, observe, on_centre_row
+from calib.rows.from_table import ImageObservations, observe
 from calib.uncertainty.measurement import Instrument, with_standoff
 from calib.uncertainty.predictive import LinearPositions, depth_sources, linear_positions
 
@@ -295,8 +295,9 @@ def _usable(measuring: Measuring, table: GazeTable) -> tuple[GazeTable, dict[int
             fault[given] = f"is in pixels of {name}, whose intrinsics the calibration does not hold"
         else:
             full = pixels if name == "c1" else on_centre_row(camera, pixels[:, 0])
-            blind = given & ~np.isfinite(normalise(camera, full, strict=False)).all(axis=1)
-            fault[blind] = f"{' '.join(columns)}: the lens of {name} has no ray there"
+            fault[without_ray(camera, full)] = (
+                f"{' '.join(columns)}: the lens of {name} has no ray there"
+            )
             size = np.array(camera.image_size, dtype=np.float64)[: pixels.shape[1]]
             with np.errstate(invalid="ignore"):
                 outside = given & ((pixels < -0.5) | (pixels > size - 0.5)).any(axis=1)

@@ -8,21 +8,21 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from calib.core.arrays import BoolArray, FloatArray, IntArray
-from calib.core.errors import EstimationError, InputError, Problem
 from calib.dataset.contents import Dataset
 from calib.dataset.depth_origin import ahead_of_c1
 from calib.dataset.manifest import Validation
 from calib.dataset.tables import GazeTable
 from calib.geometry.camera import (
     Camera,
-    normalise,
     normalise_jacobian,
+    on_centre_row,
     project,
 )
 from calib.geometry.parameters import INDEX, PARAMETERS, REFERENCE_OFFSET
 from calib.geometry.plane import OBSERVABLE
 from calib.rows.common_errors import Shared
 from calib.rows.observations import Observations, depth_groups
+from calib.rows.rayless import refuse_rayless
 
 U_PITCH_RAD = float(np.deg2rad(1.0))
 """C2 looks level within this, as its tilts and roll by their priors; no row tells its pitch."""
@@ -306,7 +306,7 @@ class _Source:
         pixels = np.where(from_image[:, None], self.seen.pixel_c1, pixels)
         rows = np.flatnonzero(np.isfinite(pixels).all(axis=1))
         if len(rows):
-            _refuse_folded(table, camera, pixels)
+            refuse_rayless(table, camera, pixels)
             ray = normalise_jacobian(camera, pixels[rows])
             value[rows] = ray.xy
             u = np.where(from_image, self.seen.u_c1_px, U_PIXEL)[rows]
@@ -325,6 +325,7 @@ class _Source:
         pixels = np.where(from_image[:, None], self.seen.pixel_c2, pixels)
         rows = np.flatnonzero(np.isfinite(pixels[:, 0]))
         if len(rows):
+            refuse_rayless(self.table, camera, pixels)
             ray = normalise_jacobian(camera, pixels[rows])
             slope = 1 / (1 + ray.xy[:, 0] ** 2)
             u = np.where(from_image, self.seen.u_c2_px, U_PIXEL)[rows]
@@ -374,14 +375,6 @@ class _Source:
         return depth_groups([(given, g if given else s) for given, g, s in names], u)
 
 
-def on_centre_row(camera: Camera, column: FloatArray) -> FloatArray:
-    """Return pixels, shape (n, 2), of which a table gives the column alone, shape (n,).
-
-    Near the centre column the row hardly matters.
-    """
-    return np.stack([column, np.full(len(column), camera.matrix[1, 2])], axis=1)
-
-
 def direction_by_common(xy: FloatArray, camera: Camera, shared: Shared) -> FloatArray:
     """Return what the shared errors of C1's intrinsics do to directions, shape (n, 2, k).
 
@@ -397,21 +390,3 @@ def direction_by_common(xy: FloatArray, camera: Camera, shared: Shared) -> Float
     ray = normalise_jacobian(camera, project(camera, np.nan_to_num(xy)))
     by_common[:] = ray.by_intrinsics @ factor
     return by_common
-
-
-def _refuse_folded(table: GazeTable, camera: Camera, pixels: FloatArray) -> None:
-    """Raise an InputError that names the rows whose pixel no ray of the lens reaches."""
-    try:
-        normalise(camera, pixels)
-        return
-    except EstimationError:
-        pass
-    problems = []
-    for i, pixel in enumerate(pixels):
-        try:
-            normalise(camera, pixel[None])
-        except EstimationError as error:
-            where = f"{table.file}, line {table.line[i]} (id {table.ids[i]})"
-            remedy = "check the pixel against image_size and the camera's intrinsics"
-            problems.append(Problem(where, str(error), remedy))
-    raise InputError(problems)

@@ -24,6 +24,7 @@ from typing import IO, Any, NoReturn, TypeAlias
 from calib.core.errors import CalibError
 from calib.stages.call import Progress
 from calib.stages.message import receive, send
+from calib.stages.worker import ASKED_TO_END
 
 GRACE_S = 3.0
 """Time to end after being asked to; a long call of a library may take more."""
@@ -188,6 +189,11 @@ def _ended(name: str, how: str, content: bytes) -> tuple[str, bytes]:
 
 def _lost(name: str, status: int) -> NoReturn:
     """Say how a worker ended that should not have."""
+    if status == ASKED_TO_END:
+        raise CalibError(
+            f"{name}: its process was ended from outside (SIGTERM); run again: what was finished "
+            "is kept"
+        )
     if status >= 0:
         raise RuntimeError(f"{name}: its process ended with status {status}")
     reason = ", as systems do that run out of memory" if -status == signal.SIGKILL else ""

@@ -74,7 +74,12 @@ def git_commit() -> str:
 def _git(folder: Path, *arguments: str) -> str:
     command = ["git", "-C", str(folder), *arguments]
     done = subprocess.run(  # noqa: S603 - a fixed command on our own folder, no shell
-        command, capture_output=True, text=True, check=True, timeout=10
+        command,
+        capture_output=True,
+        encoding="utf-8",
+        errors="backslashreplace",
+        check=True,
+        timeout=10,
     )
     return done.stdout.strip()
 

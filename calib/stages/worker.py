@@ -14,6 +14,9 @@ from typing import IO, Any
 from calib.core.errors import CalibError
 from calib.stages.message import receive, send
 
+ASKED_TO_END = 128 + signal.SIGTERM
+"""Exit status of a worker that got SIGTERM, from its parent or from outside."""
+
 
 def serve(requests: IO[bytes], replies: IO[bytes]) -> None:
     """Answer each request: messages of progress, then one that ends it."""
@@ -47,7 +50,7 @@ def serve(requests: IO[bytes], replies: IO[bytes]) -> None:
 def main() -> None:
     """Serve, with all that libraries may print kept out of the replies."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(ASKED_TO_END))
     replies = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
     try:

@@ -309,6 +309,7 @@ BAD_ROWS = {
         "outside the picture of c1",
     ),
     "no ray": ("u1_px,v1_px", "400,300", "bad,1e6,300,89", "c1"),
+    "no ray of C2": ("u1_px,v1_px,u2_px", "400,300,320", "bad,400,300,1e6,89", "u2_px"),
     "invisible": ("x1c,y1c", "0.05,0.1", "b\u200bad,0,0,89", "U+200B"),
 }
 

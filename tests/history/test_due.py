@@ -15,7 +15,7 @@ def out_of_tolerance(
 
     Out is what has moved from the state estimated at the last calibration. Rates vary as rigs
     do, 1 in log variance about the prior's mean; `jumps` is the chance of a step of 4 u in an
-    interval, after which the rig is repaired: its history starts anew.
+    interval. A rig that is due at once has no date, and is recalibrated.
     """
     out = []
     while len(out) < fleet:
@@ -26,6 +26,8 @@ def out_of_tolerance(
         state = np.r_[0.0, np.cumsum(step)]
         x, u = state + rng.standard_normal(calibrations), np.ones(calibrations)
         due = next_due(days, x, u, tolerance=tolerance)
+        if due.interval == 0:
+            continue
         weight, mean, _, _ = _filtered(days, x, u)
         p = np.exp(weight - weight.max())
         drift = np.sqrt(rate * due.interval / 180.0) * rng.standard_normal()

@@ -19,6 +19,7 @@ import numpy as np
 import pytest
 
 from calib.core.errors import EstimationError
+from calib.core.mrcal_python import mrcal_identity
 from calib.geometry.board import Board, Corners
 from calib.geometry.camera import Camera, intrinsic_vector, normalise
 from calib.images.mrcal import call as mrcal_call
@@ -285,3 +286,32 @@ def test_version_is_told_as_far_as_it_is_known(exact: scenes.Pairs) -> None:
     found = scenes.noisy(np.random.default_rng(2), exact.c1, SIGMA_PX)
     solution = solve([found], scenes.BOARD, lens_model=OPENCV5, seed=0)
     assert re.match(r"\d+\.\d+", solution.version), solution.version
+
+
+@pytest.mark.parametrize(
+    "script",
+    [
+        "exit 0",
+        "printf '\\377\\376\\n'; exit 0",
+        "echo no >reply.npz",
+        "printf 'PK\\003\\004' >reply.npz",
+    ],
+)
+def test_an_interpreter_that_is_none(
+    script: str, exact: scenes.Pairs, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Bytes that are no UTF-8, no reply, or one that is no archive: a word, and no traceback."""
+    interpreter = tmp_path / "python"
+    interpreter.write_text(f"#!/bin/sh\n{script}\n", encoding="ascii")
+    interpreter.chmod(0o755)
+    monkeypatch.setenv(mrcal_call.INTERPRETER_VARIABLE, str(interpreter))
+    with pytest.raises(EstimationError, match="without an answer of mrcal"):
+        solve([exact.c1], scenes.BOARD, lens_model=OPENCV5, seed=0)
+
+
+def test_identity_that_is_no_utf_8(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    interpreter = tmp_path / "python"
+    interpreter.write_text("#!/bin/sh\nprintf '\\377\\376\\n'\n", encoding="ascii")
+    interpreter.chmod(0o755)
+    monkeypatch.setenv(mrcal_call.INTERPRETER_VARIABLE, str(interpreter))
+    assert mrcal_identity() == "\\xff\\xfe"

@@ -56,6 +56,14 @@ def die(source: Numbers) -> Numbers:
     return source
 
 
+def be_ended(source: Numbers) -> Numbers:
+    """Be asked to end from outside, as by an administrator."""
+    time.sleep(0.5)
+    os.kill(os.getpid(), signal.SIGTERM)
+    time.sleep(60)
+    return source
+
+
 def break_down(source: Numbers) -> Numbers:
     """Fail by a defect."""
     return Numbers(source.values / {}["nothing"])

@@ -114,6 +114,13 @@ def test_killed_worker_is_named_and_the_rest_kept(tmp_path: Path) -> None:
     assert_no_children()
 
 
+def test_ended_worker_is_named_without_a_traceback(tmp_path: Path) -> None:
+    wanted = steps("draw", seed=1) | {"end1": Step("1/end", stages_apart.be_ended, (NUMBERS,))}
+    with pytest.raises(CalibError, match=r"1/end: .* ended from outside \(SIGTERM\); run again"):
+        Store(tmp_path).run_parallel(wanted)
+    assert [p.name for p in (tmp_path / ".stages").iterdir()] == ["0--draw.h5"]
+
+
 def test_misspelt_setting_is_found_before_anything_runs() -> None:
     with pytest.raises(TypeError, match="'seed'"):
         stage("draw", stages_apart.draw, NUMBERS, sed=1)

@@ -7,6 +7,8 @@ import subprocess
 from pathlib import Path
 from types import ModuleType
 
+import cv2
+import numpy as np
 import pytest
 
 from calib.dataset.load import load_dataset
@@ -24,6 +26,12 @@ def tool() -> ModuleType:
     return module
 
 
+def picture(side: str, number: int) -> bytes:
+    """A picture that tells of which camera it is, and which."""
+    grey = np.full((480, 640), number + 100 * (side == "right"), np.uint8)
+    return bytes(cv2.imencode(".jpg", grey)[1])
+
+
 def package(folder: Path, numbers: tuple[int, ...]) -> Path:
     """A Debian package with pictures of these numbers, and some that are not wanted."""
     root = folder / "root"
@@ -37,7 +45,7 @@ def package(folder: Path, numbers: tuple[int, ...]) -> Path:
     for side in ("left", "right"):
         (data / f"{side}.jpg").write_bytes(b"not wanted")
         for number in numbers:
-            (data / f"{side}{number:02d}.jpg").write_bytes(f"{side} {number}".encode())
+            (data / f"{side}{number:02d}.jpg").write_bytes(picture(side, number))
     deb = folder / "opencv-doc.deb"
     subprocess.run(["dpkg-deb", "--build", root, deb], check=True, capture_output=True)
     return deb
@@ -49,8 +57,8 @@ def test_the_thirteen_pairs_make_a_dataset(tool: ModuleType, tmp_path: Path) -> 
     dataset = load_dataset(out)
     assert len(dataset.images["c1"]) == len(dataset.images["c2"]) == 13
     assert dataset.gaze is None
-    assert (out / "c1/14.jpg").read_text() == "left 14"
-    assert (out / "c2/01.jpg").read_text() == "right 1"
+    assert (out / "c1/14.jpg").read_bytes() == picture("left", 14)
+    assert (out / "c2/01.jpg").read_bytes() == picture("right", 1)
 
 
 @pytest.mark.parametrize(

@@ -14,6 +14,7 @@ import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,8 +84,17 @@ def call_worker(arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
             raise MrcalMissingError(_missing(interpreter, words))
         if done.returncode:
             raise EstimationError(f"mrcal {_manner(done.returncode)}: {words}")
-        with np.load(folder / "reply.npz", allow_pickle=False) as file:
-            return {key: file[key] for key in file.files}
+        try:
+            with (
+                (folder / "reply.npz").open("rb") as reply,
+                np.load(reply, allow_pickle=False) as file,
+            ):
+                return {key: file[key] for key in file.files}
+        except (OSError, ValueError, EOFError, BadZipFile) as error:
+            raise EstimationError(
+                f"{interpreter} ended without an answer of mrcal ({words}); is it a Python "
+                f"interpreter? name the one that has mrcal in {INTERPRETER_VARIABLE}"
+            ) from error
 
 
 def _missing(interpreter: str, words: str) -> str:

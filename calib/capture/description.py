@@ -39,6 +39,8 @@ class Description:
         Of rig.toml, None without.
     resolution_deg, u_alpha2_deg
         A count of what is read and the standard uncertainty of a reading.
+    full_step_deg
+        The motor's full step where its steps are what is read; else None.
     reference
         What the depths are.
     z_from_c1
@@ -52,6 +54,7 @@ class Description:
     board: Board | None
     resolution_deg: float
     u_alpha2_deg: float
+    full_step_deg: float | None
     reference: str
     z_from_c1: bool
 
@@ -61,15 +64,16 @@ def describe(rig: RigDevices, *, u_alpha2_deg: float) -> Description:
     roles: tuple[Role, ...] = ("c1", "c2")
     known = {role: known_lens(rig, role) for role in roles}
     is_virtual = rig.world is not None
-    baseline = rig.settings.nominal_baseline_mm
+    baseline, axis = rig.settings.nominal_baseline_mm, rig.settings.axis
     return Description(
         serial=rig.serial,
         is_left=baseline is not None and baseline < 0,
         lenses={role: lens for role, lens in known.items() if lens is not None},
         sizes={"c1": rig.c1.image_size, "c2": rig.c2.image_size},
         board=known_board(rig),
-        resolution_deg=rig.settings.axis.resolution_deg,
+        resolution_deg=axis.resolution_deg,
         u_alpha2_deg=u_alpha2_deg,
+        full_step_deg=axis.full_step_deg if axis.reads == "counts" else None,
         reference="ruler, simulated" if is_virtual else "measured by hand",
         z_from_c1=is_virtual,
     )
@@ -154,6 +158,8 @@ def _sections(known: Description, kind: Kind, table: str, *, name: str) -> dict[
         },
         kind: rows,
     }
+    if known.full_step_deg is not None:
+        sections["encoder"]["full_step_deg"] = known.full_step_deg
     if known.board is not None:
         sections["board"] = _board(known.board)
     return sections

@@ -100,7 +100,7 @@ rendered pictures of 640 x 480 px, 60 poses a kind, tilted up to 30 degrees: tag
 px 0.034, 0.022 and 0.020 px; crosses with arms of 24 and 40 px 0.021 and 0.023; discs of 12 and 24
 px 0.024 and 0.054."""
 
-CORNER_FLOOR_PX, CORNER_FLOOR_SQUARE = 0.008, 0.32
+CORNER_FLOOR_PX, CORNER_FLOOR_SQUARE = 0.008, 0.30
 """The same of chessboard corners: a constant, and px times px of the squares' side. Rendered, 100
 poses each: squares of 6, 8, 12, 18, 28 and 36 px 0.054, 0.038, 0.024, 0.018, 0.013 and 0.011."""
 

@@ -107,7 +107,8 @@ def _pairs_noise(pairs_px: float, lenses_px: tuple[float, ...]) -> list[Gate]:
 
 def all_warnings(images: ImageResult, gaze: GazeResult | None) -> tuple[str, ...]:
     """Return what the reader should know of a whole run."""
-    found = [text for intrinsics in images.intrinsics.values() for text in intrinsics.warnings]
+    found = [f"{name}: {text}" for name, c in images.corners.items() for text in c.remarks]
+    found += [text for intrinsics in images.intrinsics.values() for text in intrinsics.warnings]
     return (*found, *(gaze_warnings(gaze) if gaze is not None else ()))
 
 

@@ -72,6 +72,8 @@ class GazeResult:
         Whether rows of a group err together; None if no model could be fitted.
     evidence
         Accuracy at the certified depths; None if no model could be fitted.
+    default_priors
+        Default priors that were scaled to a rig of another size: mean and standard deviation.
     """
 
     rows: Observations
@@ -89,6 +91,7 @@ class GazeResult:
     validation: ValidationResult | None = None
     groups: GroupCheck | None = None
     evidence: Evidence | None = None
+    default_priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

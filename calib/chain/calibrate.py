@@ -16,8 +16,12 @@ from calib.checks.encoder_direction import check_encoder_direction
 from calib.checks.prior_conflict import prior_warnings
 from calib.checks.stereo_pose import pose_warnings
 from calib.checks.verdict import all_gates, all_warnings, disagreements
+from calib.core.errors import InputError
 from calib.dataset.contents import Dataset
 from calib.dataset.tables import LengthTable
+from calib.diagnosis.correction import correct_rows
+from calib.diagnosis.engine import Attempt, diagnose
+from calib.diagnosis.session import row_history
 from calib.fit.compare import compare_models
 from calib.fit.convex import fit_convex
 from calib.fit.group_check import check_groups
@@ -101,7 +105,8 @@ def calibrate(
                 mirrored = given("mirrored rows", mirror.rows(rows.value))
                 setup = gaze_setup(dataset, images)
                 gaze = _gaze_chain(dataset, options, store, images, mirrored, mirror)
-                gaze = mirror_gaze(gaze, mirror, rows=rows.value, setup=setup)
+                own = rows.value if gaze.correction is None else mirror.rows(gaze.rows)
+                gaze = mirror_gaze(gaze, mirror, rows=own, setup=setup)
             else:
                 gaze = _gaze_chain(dataset, options, store, images, rows)
         result = images.result()
@@ -155,6 +160,7 @@ def _gaze_chain(
     defaults = scaled_defaults(rows.value)
     known = Priors(defaults | row_priors(dataset), images.measured())
     priors = given("priors", mirror_priors(known) if is_left else known)
+    rows, correction = _corrected(dataset, store, rows, priors, is_left=is_left)
     # fmt: off
     encoder_direction = run(stage("encoder direction", check_encoder_direction, rows,
                                   is_left=is_left))
@@ -184,6 +190,7 @@ def _gaze_chain(
         posterior={name: p.value for name, p in posterior.items() if p.failed is None},
         refused={name: s.failed for name, s in every.items() if s.failed is not None},
         default_priors=defaults,
+        correction=correction,
     )
     if not result.posterior:
         return result
@@ -240,6 +247,10 @@ def _measure(
                            fitted.posterior[selected], fitted.robust[selected], rows, setup))
     depths = run(stage("depths", tabulate_depths,
                        calibrated, low_mm=low, high_mm=high, seed=seed))
+    diagnosis = run(stage("diagnosis", diagnose,
+                          rows, priors, fitted.robust[selected],
+                          given("row history", row_history(dataset)), depths,
+                          is_left=mirror is not None))
     average = run(stage("average", build_average,
                         posteriors, fits, comparison, rows, setup, calibrated, depths, seed=seed))
     measured = None
@@ -258,8 +269,43 @@ def _measure(
         average=average.value,
         validation=None if measured is None else measured.value,
         groups=groups.value,
+        diagnosis=diagnosis.value,
         evidence=evidence.get(),
     )
+
+
+def _corrected(
+    dataset: Dataset,
+    store: Store,
+    rows: Staged[Observations],
+    priors: Staged[Priors],
+    *,
+    is_left: bool,
+) -> tuple[Staged[Observations], Attempt | None]:
+    """Return the rows without the error of a cause that the manifest accepts, and the cause.
+
+    Raises
+    ------
+    InputError
+        If the rows cannot tell it.
+    """
+    stated = dataset.manifest.corrections
+    if stated is None:
+        return rows, None
+    history = given("row history", row_history(dataset))
+    found = store.run(
+        stage(
+            "correction", correct_rows, rows, priors, history,
+            accepted=stated.accept, is_left=is_left,
+        )
+    )  # fmt: skip
+    if found.failed is not None:
+        raise InputError.single(
+            where="dataset.toml, [corrections]",
+            what=found.failed,
+            remedy="remove the section, or mend the rows",
+        )
+    return given("corrected rows", found.value.rows), found.value.cause
 
 
 def _lengths(dataset: Dataset) -> Staged[LengthTable] | None:

@@ -10,6 +10,7 @@ from typing import Any
 from tqdm import tqdm
 
 from calib.core.errors import harmless
+from calib.uncertainty.format import interval
 
 
 class Console:
@@ -60,10 +61,23 @@ def summary(out: Path) -> tuple[str, bool]:
             decided = " (identified by prior knowledge)" if by_prior else ""
             figures = f"{estimate['value']:12.5g} +- {estimate['std']:.2g}"
             if "q2.5" in estimate and name in fit.get("derived", {}):
-                figures += f" (95 %: {estimate['q2.5']:.5g} to {estimate['q97.5']:.5g})"
+                low, high = interval(
+                    estimate["q2.5"], estimate["q97.5"], uncertainty=estimate["std"]
+                )
+                figures += f" (95 %: {low} to {high})"
             lines.append(f"  {name:24s} {figures}{decided}")
     failed = [gate for gate in result["gates"] if not gate["passed"]]
+    lines += [_cause(cause) for cause in result.get("diagnosis", [])]
     lines += [f"GATE FAILED  {gate['name']}: {gate['detail']}" for gate in failed]
     lines += [f"warning: {text}" for text in result.get("warnings", [])]
     lines.append(f"results in {harmless(str(out))}")
     return "\n".join(lines), not failed
+
+
+def _cause(cause: dict[str, Any]) -> str:
+    """Return a diagnosed cause in one line."""
+    before, after = cause["noise_scale"]
+    return (
+        f"CAUSE  {cause['cause']}: {cause['text']} (residuals {before:.2g} times what is stated, "
+        f"{after:.2g} with it; evidence {cause['gain']:.0f} nats)"
+    )

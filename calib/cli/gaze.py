@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from calib.gaze.aim import EpipolarAiming
     from calib.gaze.gazing import Gazer
     from calib.gaze.row import GazeRow
+    from calib.gaze.target import Target
     from calib.geometry.camera import Camera
     from calib.instrument.calibration_file import Measuring
     from calib.rig.devices import RigDevices
@@ -65,7 +66,7 @@ def run(arguments: argparse.Namespace) -> int:
     interrupted: KeyboardInterrupt | None = None
     with opened(arguments.rig) as rig:
         known = lenses(measuring, rig, name=str(arguments.calibration))
-        gazer = make_gazer(arguments, rig, known.c2)
+        gazer = make_gazer(arguments, rig, known.c2, lens_c1=known.c1)
         with writer(arguments.out) as write:
             table = _Table(arguments, measuring, write)
             work = _follow if arguments.follow else _gaze_at_each
@@ -80,8 +81,21 @@ def run(arguments: argparse.Namespace) -> int:
     return NOT_ALL if table.report() or refused else DONE
 
 
-def make_gazer(arguments: argparse.Namespace, rig: RigDevices, lens_c2: Camera) -> Gazer:
-    """Return the rig ready to gaze at the target asked for, as its last check found it."""
+def make_gazer(
+    arguments: argparse.Namespace,
+    rig: RigDevices,
+    lens_c2: Camera,
+    *,
+    lens_c1: Camera | None = None,
+    at: Target | None = None,
+) -> Gazer:
+    """Return the rig ready to gaze at the target asked for, as its last check found it.
+
+    Parameters
+    ----------
+    at
+        A target instead of the one that the arguments name.
+    """
     from calib.gaze.gazing import Gazer, law_of
     from calib.gaze.target import target
     from calib.rig.known import known_board
@@ -89,7 +103,8 @@ def make_gazer(arguments: argparse.Namespace, rig: RigDevices, lens_c2: Camera) 
     check = last_check(arguments.rig, rig.serial)
     return Gazer(
         rig=rig,
-        target=target(arguments.target, known_board(rig)),
+        target=at or target(arguments.target, known_board(rig)),
+        lens_c1=lens_c1,
         lens_c2=lens_c2,
         law=law_of(rig, lens_c2, backlash_steps=0.0 if check is None else check.backlash_steps),
         settle_s=0.0 if check is None else check.settle_s,

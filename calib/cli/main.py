@@ -22,6 +22,7 @@ from calib.cli import (
     export,
     gaze,
     history,
+    length,
     measure,
     plan,
     rig,
@@ -82,6 +83,7 @@ GROUPS: tuple[tuple[str, tuple[Command, ...]], ...] = (
         (
             Command("capture", capture, "rows of the rig into a dataset"),
             Command("gaze", gaze, "turn C2 to targets and measure their positions"),
+            Command("length", length, "the distance of two points, each gazed at: plates too"),
             Command("rig", rig, "is the rig fit to be calibrated and measured with?"),
         ),
     ),

@@ -32,13 +32,23 @@ def check_path(rig_file: Path | None) -> Path:
 
 
 @contextmanager
-def opened(rig_file: Path | None) -> Iterator[RigDevices]:
-    """Open the rig; Ctrl-C and SIGTERM stop the motor before anything else."""
+def opened(rig_file: Path | None, *, virtual_target: str | None = None) -> Iterator[RigDevices]:
+    """Open the rig; Ctrl-C and SIGTERM stop the motor before anything else.
+
+    Parameters
+    ----------
+    virtual_target
+        What stands before the embedded virtual rig; what rig.toml says holds for others.
+    """
     from calib.rig.devices import open_rig
     from calib.rig.settings import read_settings
 
     interrupt_on(signal.SIGINT, signal.SIGTERM)
-    with open_rig(read_settings(rig_file)) as rig:
+    settings = read_settings(rig_file)
+    if rig_file is None and virtual_target is not None:
+        virtual = settings.virtual.model_copy(update={"target": virtual_target})
+        settings = settings.model_copy(update={"virtual": virtual})
+    with open_rig(settings) as rig:
         try:
             yield rig
         except BaseException:

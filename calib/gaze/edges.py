@@ -12,6 +12,7 @@ from typing import Final
 
 import cv2
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 
 from calib.core.arrays import FloatArray
 from calib.geometry.camera import Camera, normalise, project
@@ -31,7 +32,10 @@ GRADIENT_SHARE: Final = 0.35
 SECOND_SHARE: Final = 0.4
 """A second edge as steep as this share of the first makes a profile doubtful."""
 
-APART_PX: Final = 2.5
+APART_PX, BEYOND_PX = 2.5, 3.0
+"""So far from its steepest place an edge counts, and from so far on there is another."""
+
+NEIGHBOURS: Final = 9
 
 TUKEY: Final = 4.685
 """Tuning constant of the biweight: 95 % efficiency for normal errors (Huber and Ronchetti 2009)."""
@@ -148,7 +152,10 @@ def _edge_points(
     near = np.abs(across[None] - peak[:, None]) <= APART_PX
     weight = np.where((rise >= GRADIENT_SHARE * steepest[:, None]) & near, rise, 0.0)
     offset = (weight * across).sum(axis=1) / weight.sum(axis=1)
-    second = np.where(near, 0.0, rise).max(axis=1) > SECOND_SHARE * steepest
+    # Of neighbours together, or noise would look like an edge where there is little light.
+    along_edge = uniform_filter1d(rise, NEIGHBOURS, axis=0)
+    beyond = np.abs(across[None] - peak[:, None]) > BEYOND_PX
+    second = np.where(beyond, along_edge, 0.0).max(axis=1) > SECOND_SHARE * along_edge.max(axis=1)
     points = places[inside][clear] + offset[:, None] * normal
     return points, float(second.mean())
 

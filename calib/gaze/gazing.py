@@ -17,7 +17,7 @@ from calib.geometry.camera import Camera, normalise
 from calib.rig.clock import NS_PER_S
 from calib.rig.devices import RigDevices
 from calib.rig.protocols import Camera as CameraDevice
-from calib.rig.protocols import Lost, Nanoseconds, Refused, Standstill
+from calib.rig.protocols import Frame, Lost, Nanoseconds, Refused, Standstill
 from calib.rig.settings import AxisSection
 
 TIMEOUT_S: Final = 3.0
@@ -81,6 +81,8 @@ class Gazer:
         C2's lens, by which the angle off its centre column is measured.
     law
         How it is centred.
+    lens_c1
+        C1's lens, for targets that a lens bends.
     settle_s
         C2 trembles so long after it stands still, as `calib rig check` measured it, s.
     noise_c1, noise_c2
@@ -91,6 +93,7 @@ class Gazer:
     target: Target
     lens_c2: Camera
     law: Law
+    lens_c1: Camera | None = None
     settle_s: float = 0.0
     noise_c1: Noise = field(default_factory=Noise)
     noise_c2: Noise = field(default_factory=Noise)
@@ -193,9 +196,11 @@ class Gazer:
         found: list[Seen] = []
         while len(found) < count:
             last = found[-1] if found else None
-            seen = self.look(camera, _next(last) if last else moment, last)
+            frame = self._frame(camera, _next(last) if last else moment, last)
+            seen = self._seen(camera, frame)
             if seen is None:
-                raise Refused(self.unseen("C1" if camera is self.rig.c1 else "C2"))
+                why = self._target(camera).fault(frame.pixels)
+                raise Refused(self.unseen("C1" if camera is self.rig.c1 else "C2", why))
             found.append(seen)
         return tuple(found)
 
@@ -203,17 +208,29 @@ class Gazer:
         self, camera: CameraDevice, moment: Nanoseconds, last: Seen | None = None
     ) -> Seen | None:
         """Return a picture with the target, another one than `last`; None if it is not in it."""
+        return self._seen(camera, self._frame(camera, moment, last))
+
+    def _frame(self, camera: CameraDevice, moment: Nanoseconds, last: Seen | None) -> Frame:
         for _ in range(SAME_FRAME_TRIES):
             frame = camera.after(moment, timeout_s=TIMEOUT_S)
             if last is None or frame.serial != last.frame.serial:
-                age = (self.rig.clock.now_ns() - frame.exposed_ns) / 1e6
-                sighting = self.target.find(frame.pixels)
-                return None if sighting is None else Seen(frame, sighting, age)
+                return frame
             moment = frame.exposed_ns + NEXT_NS
         raise Lost(f"{camera.identity} hands out one and the same frame again and again")
 
-    def unseen(self, name: str) -> str:
+    def _seen(self, camera: CameraDevice, frame: Frame) -> Seen | None:
+        age = (self.rig.clock.now_ns() - frame.exposed_ns) / 1e6
+        sighting = self._target(camera).find(frame.pixels)
+        return None if sighting is None else Seen(frame, sighting, age)
+
+    def _target(self, camera: CameraDevice) -> Target:
+        lens = self.lens_c1 if camera is self.rig.c1 else self.lens_c2
+        return self.target if lens is None else self.target.through(lens)
+
+    def unseen(self, name: str, why: str = "") -> str:
         """Return the message about a camera that does not see the target."""
+        if why:
+            return f"{name}: {why}"
         return (
             f"{name} does not see the target {self.target.name}; is it in the picture, sharp, "
             "evenly lit, and the one that is asked for?"

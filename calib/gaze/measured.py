@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -71,35 +72,43 @@ def aiming(measuring: Measuring, c1: Camera) -> EpipolarAiming:
 
 
 def position(measuring: Measuring, row: GazeRow, *, model: str) -> Positions:
-    """Return the position of a row's target and its uncertainty, one row.
+    """Return the position of a row's target and its uncertainty: `positions` of one row."""
+    return positions(measuring, [row], model=model)
 
-    The uncertainty of the pixels is that of the row's own pictures, not the one of tables.
+
+def positions(measuring: Measuring, rows: Sequence[GazeRow], *, model: str) -> Positions:
+    """Return the positions of the targets of rows and their uncertainty, in order.
+
+    The uncertainty of the pixels is that of the rows' own pictures, the largest of them, not the
+    one of tables.
 
     Raises
     ------
     UsageError
-        If the calibration has no such model, or the row's encoder was turned beyond (0, 180) deg.
+        If the calibration has no such model, or the encoder was turned beyond (0, 180) deg.
     """
-    degrees = float(np.degrees(row.standstill.reading_rad))
-    if not 0 < degrees < 180:
-        raise UsageError(f"a reading of {degrees:.3f} deg: readings are between 0 and 180 deg")
-    one = np.ones(1)
+    degrees = np.degrees([row.standstill.reading_rad for row in rows])
+    beyond = degrees[(degrees <= 0) | (degrees >= 180)]
+    if len(beyond):
+        raise UsageError(f"a reading of {beyond[0]:.3f} deg: readings are between 0 and 180 deg")
+    pixel_c1 = np.array([row.pixel_c1 for row in rows])
+    pixel_c2 = np.array([row.pixel_c2 for row in rows])
     table = reading_table(
         {
-            "alpha2_deg": degrees * one,
-            "u1_px": row.pixel_c1[0] * one,
-            "v1_px": row.pixel_c1[1] * one,
-            "u2_px": row.pixel_c2[0] * one,
+            "alpha2_deg": degrees,
+            "u1_px": pixel_c1[:, 0],
+            "v1_px": pixel_c1[:, 1],
+            "u2_px": pixel_c2[:, 0],
         }
     )
-    nothing = np.full(1, np.nan)
+    nothing = np.full(len(rows), np.nan)
     seen = ImageObservations(
-        pixel_c1=row.pixel_c1[None],
-        pixel_c2=row.pixel_c2[None],
-        u_c1_px=row.u_c1_px,
-        u_c2_px=row.u_c2_px,
+        pixel_c1=pixel_c1,
+        pixel_c2=pixel_c2,
+        u_c1_px=max(row.u_c1_px for row in rows),
+        u_c2_px=max(row.u_c2_px for row in rows),
         z_mm=nothing,
         u_z_mm=nothing,
-        z_by_common=np.zeros((1, measuring.setup.shared.factor.shape[1])),
+        z_by_common=np.zeros((len(rows), measuring.setup.shared.factor.shape[1])),
     )
     return measure_by(measuring, table, model=model, seen=seen)

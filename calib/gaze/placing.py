@@ -29,6 +29,27 @@ class Placing(Protocol):
         """Return its depth and standard uncertainty, mm; None if there is none to be had."""
 
 
+class PlatePlacing:
+    """The hand of a virtual rig that puts plates up.
+
+    Parameters
+    ----------
+    world
+        Where they go.
+    """
+
+    def __init__(self, world: World) -> None:
+        self._operator = Operator(world)
+
+    def place(self, name: str) -> None:  # noqa: ARG002
+        """Put the plate where C1 sees both its ends."""
+        self._operator.show_plate()
+
+    def depth_mm(self, name: str) -> tuple[float, float | None] | None:  # noqa: ARG002
+        """Return nothing: a plate has no one depth."""
+        return None
+
+
 class VirtualPlacing:
     """The hand of a virtual rig.
 
@@ -97,6 +118,8 @@ def placing_for(rig: RigDevices, tell: Callable[[str], None], **virtual: float) 
     """Return the hand for a rig; `virtual` are settings of `VirtualPlacing`."""
     if rig.world is None:
         return AskedPlacing(tell)
+    if rig.world.sheet.corners_mm:
+        return PlatePlacing(rig.world)
     held, done = virtual.get("held_rad"), int(virtual.get("done", 0))
     return VirtualPlacing(rig.world, held_rad=held, done=done)
 

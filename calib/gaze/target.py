@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final, Protocol
+from typing import Final, Protocol, Self
 
 import cv2
 import numpy as np
@@ -18,11 +18,14 @@ from calib.core.errors import UsageError
 from calib.dataset.manifest import DICTIONARIES
 from calib.dataset.messages import suggestion
 from calib.geometry.board import Board
+from calib.geometry.camera import Camera
 from calib.images.detection.board import find_chessboard
 from calib.images.detection.charuco import CharucoFinder
 from calib.images.detection.picture import Grey
 
-KINDS: Final = ("board", "corner:COLUMN,ROW", "tag:DICTIONARY:ID", "blob", "cross")
+KINDS: Final = (
+    "board", "corner:COLUMN,ROW", "tag:DICTIONARY:ID", "blob", "cross", "plate:CORNER",
+)  # fmt: skip
 """Targets as a user names them."""
 
 DARK_SHARE: Final = 0.5
@@ -72,6 +75,24 @@ class Target(Protocol):
     def find(self, grey: Grey) -> Sighting | None:
         """Return where it is, shape (height, width) of the picture; None if it is not seen."""
 
+    def through(self, lens: Camera) -> Target:
+        """Return the target as it is found in the pictures of a lens."""
+
+    def fault(self, grey: Grey) -> str:
+        """Return why it is not seen in a picture as far as that can be said; "" else."""
+
+
+class _AnyLens:
+    """A target so small that no lens bends it, and of which a picture says nothing else."""
+
+    def through(self, lens: Camera) -> Self:  # noqa: ARG002 - of the protocol
+        """Return the target itself."""
+        return self
+
+    def fault(self, grey: Grey) -> str:  # noqa: ARG002 - of the protocol
+        """Return nothing."""
+        return ""
+
 
 FLOOR_PX: Final = 0.025
 """Standard uncertainty of a large and sharp target's coordinate that repeats do not show. On
@@ -95,7 +116,7 @@ def _blob_floor(diameter_px: float) -> float:
 
 
 @dataclass(frozen=True)
-class BoardCorner:
+class BoardCorner(_AnyLens):
     """One corner of a chessboard or ChArUco board."""
 
     board: Board
@@ -125,7 +146,7 @@ def _spacing(pixels: FloatArray, board: Board) -> float:
 
 
 @dataclass(frozen=True)
-class Tag:
+class Tag(_AnyLens):
     """The centre of one ArUco marker or AprilTag: where the diagonals of its corners cross."""
 
     dictionary: str
@@ -166,7 +187,7 @@ def _crossing(quad: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True)
-class Blob:
+class Blob(_AnyLens):
     """The one dark disc before a bright ground: its centre of darkness. It has no identity.
 
     A disc's centre of area is not the image of its centre; at small discs the difference is below
@@ -207,7 +228,7 @@ def _is_disc(labels: FloatArray, stats: FloatArray, number: int, size: int) -> b
 
 
 @dataclass(frozen=True)
-class Cross:
+class Cross(_AnyLens):
     """The crossing of four squares, dark and bright in turn (a checker target), anywhere."""
 
     name: str = "cross"
@@ -265,8 +286,9 @@ def target(text: str, board: Board | None) -> Target:
         "tag": lambda: _tag(text, rest),
         "blob": Blob,
         "cross": Cross,
+        "plate": lambda: _on_plate(text, rest),
     }
-    if kind not in makers or (bool(rest) != (kind in {"corner", "tag"})):
+    if kind not in makers or (bool(rest) != (kind in {"corner", "tag", "plate"})):
         raise UsageError(f"--target {text}: is no target; they are {', '.join(KINDS)}")
     return makers[kind]()
 
@@ -289,6 +311,15 @@ def _on_board(text: str, board: Board | None) -> BoardCorner:
         )
     described = {name: getattr(board, name) for name in board.__dataclass_fields__}
     return BoardCorner(Board(**(described | {"target": (column, row)})), text)
+
+
+def _on_plate(text: str, rest: str) -> Target:
+    # Edges are found by more than this room's small targets need.
+    from calib.gaze.plate import CORNERS, PlateCorner
+
+    if rest not in CORNERS:
+        raise UsageError(f"--target {text}: a plate has the corners {', '.join(CORNERS)}")
+    return PlateCorner(rest)
 
 
 def _tag(text: str, rest: str) -> Tag:

@@ -87,9 +87,9 @@ class KeyFigures:
 
 @dataclass(frozen=True)
 class Notice:
-    """A verdict or a warning that must not be overlooked."""
+    """A verdict or a warning that must not be overlooked; `caution` is amber."""
 
-    mark: Literal["good", "bad", "note"]
+    mark: Literal["good", "bad", "caution", "note"]
     title: Text
     text: Text = ""
     kind: Literal["notice"] = field(default="notice", init=False)
@@ -119,6 +119,8 @@ class Picture:
         What is drawn, and what a fault would look like.
     data
         Data URI of a CSV file; empty where there is none.
+    points
+        Places and words of its points, JSON; see `calib.report.hover`.
     """
 
     key: str
@@ -127,6 +129,7 @@ class Picture:
     alternative: str
     caption: Text
     data: str
+    points: str
     kind: Literal["picture"] = field(default="picture", init=False)
 
 
@@ -150,6 +153,16 @@ class PictureSheet:
     kind: Literal["sheet"] = field(default="sheet", init=False)
 
 
+@dataclass(frozen=True)
+class Fold:
+    """Blocks behind one line, open or not; print shows them all."""
+
+    summary: Text
+    blocks: tuple[Block, ...]
+    is_open: bool = False
+    kind: Literal["fold"] = field(default="fold", init=False)
+
+
 Block: TypeAlias = (
     Table
     | Paragraph
@@ -160,16 +173,26 @@ Block: TypeAlias = (
     | Command
     | Picture
     | PictureSheet
+    | Fold
 )
 
 
 @dataclass(frozen=True)
 class Section:
-    """A chapter of the report; `key` is its anchor."""
+    """A chapter of the report; `key` is its anchor; one that `is_open` is not folded at first."""
 
     key: str
     title: str
     blocks: tuple[Block, ...]
+
+    @property
+    def is_open(self) -> bool:
+        """Whether it is read by everybody."""
+        return self.key in OPEN
+
+
+OPEN = ("verdict", "validation")
+"""Sections that are not folded: what is stated, and what an independent reference says of it."""
 
 
 def number(text: str, value: float, *, mark: str = "") -> Cell:

@@ -26,6 +26,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from calib.report.blocks import Picture, Text
+from calib.report.hover import hover_points
 
 BLACK, GREY, LIGHT = "#1b1b1b", "#6b6b6b", "#d9d9d9"
 BLUE, SKY, GREEN, YELLOW = "#0072B2", "#56B4E9", "#009E73", "#F0E442"
@@ -205,9 +206,11 @@ def legend(figure: Figure, axes: Axes) -> None:
 
 def picture(key: str, drawing: Drawing, caption: Text) -> Picture:
     """Return a drawing as a block of the page."""
+    drawn = data_uri("image/svg+xml", svg(drawing.figure))
     return Picture(
         key=key,
-        image=data_uri("image/svg+xml", svg(drawing.figure)),
+        image=drawn,
+        points=hover_points(drawing.figure),
         width_px=round(drawing.figure.get_figwidth() * CSS_PX_PER_INCH),
         alternative=drawing.alternative,
         caption=caption,

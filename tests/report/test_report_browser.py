@@ -5,6 +5,7 @@ Evidence: independent tool.
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -56,6 +57,137 @@ def test_tables_sort_both_ways_by_the_values(browser: Browser) -> None:
     assert browser.evaluate(f"{table}.querySelectorAll('th')[1].ariaSort") == "ascending"
     browser.evaluate(click)
     assert browser.evaluate(column) == sorted(before, reverse=True)
+
+
+def test_the_folded_report_is_short_and_loses_nothing_unfolded_or_printed(report: Path) -> None:
+    with chromium() as own:
+        _size(own, 1280, 900)
+        own.go(report.as_uri())
+        text = "document.getElementById('main').textContent.length"
+        height = "document.documentElement.scrollHeight"
+        folded, said = own.evaluate(height), own.evaluate(text)
+        assert folded < 12 * 900
+        own.evaluate("document.querySelector('.everything').click()")
+        opened = own.evaluate(height)
+        assert opened > 2 * folded
+        assert own.evaluate(text) == said
+        own.evaluate("document.querySelector('.everything').click()")
+        assert own.evaluate(height) < 1.1 * folded
+        own.call("Emulation.setEmulatedMedia", media="print")
+        hidden = (
+            "Array.from(document.querySelectorAll('main table, main figure'))"
+            ".filter(e => !e.checkVisibility({contentVisibilityAuto: true}) || !e.offsetHeight)"
+            ".length"
+        )
+        assert own.evaluate(hidden) == 0
+
+
+def test_a_link_opens_the_chapter_it_leads_to(browser: Browser) -> None:
+    is_open = "document.querySelector('#posterior details').open"
+    assert browser.evaluate(is_open) is False
+    browser.evaluate("document.querySelector('nav a[href=\"#posterior\"]').click()")
+    browser.evaluate("dispatchEvent(new HashChangeEvent('hashchange'))")
+    assert browser.evaluate(is_open) is True
+
+
+def test_checks_that_passed_are_folded_by_stage(browser: Browser) -> None:
+    folds = browser.evaluate(
+        "Array.from(document.querySelectorAll('#verdict .fold'), f => [f.open, "
+        "f.querySelector('summary').textContent])"
+    )
+    assert folds
+    assert all(is_open == ("failed" in words) for is_open, words in folds)
+
+
+def test_every_table_downloads_with_all_digits(browser: Browser) -> None:
+    tables = browser.evaluate("document.querySelectorAll('main table').length")
+    links = "Array.from(document.querySelectorAll('.tools a[download$=\".csv\"]'))"
+    assert browser.evaluate(f"{links}.length") == tables
+    # Clicked, but kept from downloading.
+    given = browser.evaluate(
+        "(() => { const t = document.querySelector('#depth table.sortable');"
+        "const a = t.closest('.scroll').nextElementSibling.querySelector('a');"
+        "a.addEventListener('click', e => e.preventDefault()); a.click();"
+        "return decodeURIComponent(a.href.split(',').slice(1).join(',')) })()"
+    )
+    heads, first, *others = csv.reader(given.splitlines())
+    shown = browser.evaluate(
+        "Array.from(document.querySelectorAll('#depth table.sortable tbody tr')).length"
+    )
+    assert len(others) + 1 == shown
+    assert len(first) == len(heads)
+    key = browser.evaluate(
+        "document.querySelector('#depth table.sortable').tBodies[0].rows[0].cells[1].dataset.key"
+    )
+    assert key in first
+
+
+def test_figures_tell_their_values_and_enlarge(browser: Browser) -> None:
+    image = "document.querySelector('#validation figure img')"
+    browser.evaluate(f"{image}.scrollIntoView()")
+    browser.evaluate(
+        f"(() => {{ const i = {image}; const [x, y] = JSON.parse(i.dataset.points)[0];"
+        "const b = i.getBoundingClientRect();"
+        "i.dispatchEvent(new PointerEvent('pointermove', {clientX: b.left + x * b.width,"
+        "clientY: b.top + y * b.height, bubbles: true})); })()"
+    )
+    told = browser.evaluate("document.querySelector('.tip').textContent")
+    assert "%: " in told
+    assert browser.evaluate("document.querySelector('.tip').hidden") is False
+    browser.evaluate(f"{image}.click()")
+    assert browser.evaluate("document.querySelector('dialog').open") is True
+    large = "document.querySelector('dialog img')"
+    before = browser.evaluate(f"{large}.getBoundingClientRect().width")
+    browser.evaluate(
+        "document.querySelector('dialog').dispatchEvent(new KeyboardEvent('keydown',{key: '+'}))"
+    )
+    assert browser.evaluate(f"{large}.getBoundingClientRect().width") > 1.2 * before
+    browser.evaluate("document.querySelector('dialog button').click()")
+    assert browser.evaluate("document.querySelector('dialog').open") is False
+
+
+def test_what_is_wider_than_a_narrow_window_says_so(report: Path) -> None:
+    with chromium() as own:
+        _size(own, 400, 860)
+        own.go(report.as_uri())
+        own.evaluate("document.querySelector('.everything').click()")
+        # Two frames, for the observers of sizes to be told.
+        own.call(
+            "Runtime.evaluate",
+            expression="new Promise(r => requestAnimationFrame(() => requestAnimationFrame(r)))",
+            awaitPromise=True,
+        )
+        silent = own.evaluate(
+            "Array.from(document.querySelectorAll('.scroll'))"
+            ".filter(s => s.scrollWidth > s.clientWidth + 1)"
+            ".filter(s => getComputedStyle(s.nextElementSibling.querySelector('.cue')).display"
+            " === 'none').length"
+        )
+        cut = own.evaluate("document.querySelectorAll('.scroll.cut').length")
+        assert cut > 5
+        assert silent == 0
+        top = own.evaluate("document.querySelector('#verdict .notice').getBoundingClientRect().top")
+        assert top < 400
+
+
+def test_a_dark_window_gets_a_dark_page(report: Path) -> None:
+    with chromium() as own:
+        dark = [{"name": "prefers-color-scheme", "value": "dark"}]
+        own.call("Emulation.setEmulatedMedia", features=dark)
+        own.go(report.as_uri())
+        colour = "getComputedStyle(document.body).{}.match(/\\d+/g).map(Number)"
+        assert max(own.evaluate(colour.format("backgroundColor"))) < 60
+        assert min(own.evaluate(colour.format("color"))) > 200
+
+
+def _size(browser: Browser, width: int, height: int) -> None:
+    browser.call(
+        "Emulation.setDeviceMetricsOverride",
+        width=width,
+        height=height,
+        deviceScaleFactor=1,
+        mobile=False,
+    )
 
 
 def test_a_policy_keeps_other_scripts_from_running(report: Path) -> None:

@@ -205,7 +205,7 @@ def test_what_the_rows_can_tell_is_said_in_words_and_figures(page: html.HtmlElem
     gaze = everything()[0].gaze
     found = gaze.identifiability["axis-offset"]
     section = page.xpath("//section[@id='identifiability']")[0]
-    (notice,) = section.xpath("./div[contains(@class, 'notice')]")
+    (notice,) = section.xpath("./details/div[contains(@class, 'notice')]")
     assert "cannot distinguish Lb from e" in notice.text_content()
     assert all(remedy in notice.text_content() for remedy in found.open[0].remedies)
     rows = table(page, "axis-offset: its combinations")

@@ -11,6 +11,8 @@ from report_examples import paper
 
 from calib.checks.verdict import all_gates, disagreements, gaze_gates, gaze_warnings
 from calib.fit.identifiability import Identifiability
+from calib.report.page import render_report
+from calib.report.sections.contradiction import what_the_errors_do
 from calib.results.calibration import GazeResult
 
 
@@ -161,3 +163,27 @@ def test_uncertainties_stated_far_too_large_are_remarked_on() -> None:
     assert "more certain than stated" in text
     assert said(honest) == []
     assert said(honest[:6] / 3) == []
+
+
+def test_a_contradiction_says_what_the_errors_do_and_which_model_the_reference_prefers() -> None:
+    """Figures of the paper's data: the ruler against the pairs."""
+    page = render_report(*paper())
+    first = page[page.index('class="notice') :][:1200]
+    assert first.startswith('class="notice caution"')
+    assert "Contradicted by the independent reference" in first
+    assert "rise with depth, from −9.7 % at 350 mm to +5.6 % at 2120 mm" in first
+    assert "validates worse there than base, 5.7 against 4.2 % rms" in first
+
+
+def test_errors_without_order_are_said_by_their_ends() -> None:
+    found = gaze()
+    assert found.validation is not None
+    error = found.validation.errors[0]
+    rel = np.where(np.arange(len(error.error_rel)) % 2, 0.02, -0.01)
+    mixed = replace(error, error_rel=rel)
+    validation = replace(
+        found.validation, errors=(mixed,), depth_of=np.arange(len(error.error_rel))
+    )
+    told = what_the_errors_do(replace(found, validation=validation), None)
+    assert told.startswith("Against the reference depth is wrong by −1.0 to +2.0 %.")
+    assert what_the_errors_do(replace(found, validation=None), "ruler") == ""

@@ -40,7 +40,7 @@ from calib.report.plotting import picture
 from calib.report.sections.identifiability import decided_cell
 from calib.report.sections.pick import selected
 from calib.results.calibration import Calibration, GazeResult
-from calib.results.fits_document import effective_baseline
+from calib.results.fits_document import effective_baseline, effective_interval
 from calib.results.wording import MODELS
 
 
@@ -97,13 +97,14 @@ def _model(
     rows = [_row(posterior, fit, i, decided, measured, context) for i in range(len(fit.names))]
     found = effective_baseline(fit.names, posterior.mean[:-1], posterior.covariance[:-1, :-1])
     if found is not None:
+        ends = effective_interval(fit.names, posterior.flat)
         rows.append(
             (
                 words(symbol(EFFECTIVE)),
                 words(meaning(EFFECTIVE)),
                 estimate(*found),
                 words("mm"),
-                EMPTY,
+                bounds(*ends, found[1]) if ends is not None else EMPTY,
                 words("derived", mark="quiet"),
                 NOTHING,
             )

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from markupsafe import Markup
 
+from calib.core.gate import Gate
 from calib.images.result import ImageResult
 from calib.instrument.calibrated import CalibratedInstrument
 from calib.report.blocks import (
     Block,
     Command,
+    Fold,
     Items,
     KeyFigures,
     Notice,
@@ -20,10 +24,11 @@ from calib.report.blocks import (
     words,
 )
 from calib.report.context import ReportContext
-from calib.report.numbers import EFFECTIVE, factor, plus_minus, signed, symbol, unit
+from calib.report.numbers import EFFECTIVE, bounds, factor, plus_minus, signed, symbol, unit
+from calib.report.sections.contradiction import what_the_errors_do
 from calib.report.sections.pick import chosen_fit
 from calib.results.calibration import Calibration, GazeResult
-from calib.results.fits_document import effective_baseline
+from calib.results.fits_document import effective_baseline, effective_interval
 from calib.uncertainty.format import significant
 
 _BACKENDS = {"joint": "the joint solve of lenses and pairs"}
@@ -31,7 +36,7 @@ _BACKENDS = {"joint": "the joint solve of lenses and pairs"}
 
 def verdict(c: Calibration, context: ReportContext) -> Section:
     """Write the verdict."""
-    blocks: list[Block] = [_banner(c), *_failures(c)]
+    blocks: list[Block] = [_banner(c, context), *_failures(c)]
     if c.gaze is not None:
         blocks += _gaze(c.gaze, context)
     else:
@@ -43,11 +48,11 @@ def verdict(c: Calibration, context: ReportContext) -> Section:
         ]
     if c.gaze is not None and c.gaze.calibrated is not None:
         blocks += _use(c.gaze.calibrated, passed=c.passed)
-    blocks.append(_gates(c))
+    blocks += _gates(c)
     return Section("verdict", "Verdict", tuple(blocks))
 
 
-def _banner(c: Calibration) -> Notice:
+def _banner(c: Calibration, context: ReportContext) -> Notice:
     failed = sum(not gate.passed for gate in c.gates)
     if not c.gates:
         return Notice("note", "Nothing was checked", "The dataset holds nothing to calibrate.")
@@ -59,11 +64,13 @@ def _banner(c: Calibration) -> Notice:
             "help with that.",
         )
     if c.disagreements:
+        told = "" if c.gaze is None else what_the_errors_do(c.gaze, context.validation_reference)
         return Notice(
-            "note",
-            f"All {len(c.gates)} checks passed, but an independent reference contradicts",
-            "The uncertainties stated hold against the reference that was used to calibrate. See "
-            "the validation before you rely on absolute depths.",
+            "caution",
+            "Contradicted by the independent reference",
+            f"Do not rely on absolute depths before that is cleared up. {told}"
+            f"All {len(c.gates)} checks passed, and the uncertainties stated hold against the "
+            "reference that was used to calibrate.",
         )
     if c.gaze is None:
         scope = "The dataset has no gaze rows: cameras and rig are calibrated as far as it goes."
@@ -126,7 +133,9 @@ def _parameter_tiles(gaze: GazeResult) -> list[tuple[Text, Text, Text]]:
     found = effective_baseline(fit.names, mean, covariance)
     tiles: list[tuple[Text, Text, Text]] = []
     if found is not None:
-        tiles.append(_tile(EFFECTIVE, *found, "baseline seen at 90°"))
+        ends = effective_interval(fit.names, posterior.flat)
+        between = "" if ends is None else f"; 95 %: {bounds(*ends, found[1]).text} mm"
+        tiles.append(_tile(EFFECTIVE, *found, f"baseline seen at 90°{between}"))
     for name, value, u in zip(fit.names, mean, std, strict=True):
         if name in ("baseline_mm", "delta2_rad", "axis_z_mm") and not (
             name == "baseline_mm" and found is not None
@@ -204,13 +213,52 @@ def _use(calibrated: CalibratedInstrument, *, passed: bool) -> list[Block]:
     ]
 
 
-def _gates(c: Calibration) -> Block:
+def _gates(c: Calibration) -> list[Block]:
+    """Return the checks by stage: those that passed behind one line, stages with a failure open."""
+    stages: dict[str, list[Gate]] = {}
+    for gate in c.gates:
+        stages.setdefault(_stage(gate.name), []).append(gate)
+    return [
+        Fold(
+            summary=_outcome(stage, gates),
+            blocks=(_checks(stage, gates),),
+            is_open=not all(gate.passed for gate in gates),
+        )
+        for stage, gates in stages.items()
+    ]
+
+
+_STAGES = {
+    "c1": "Intrinsics of C1",
+    "c2": "Intrinsics of C2",
+    "stereo": "Stereo reference",
+    "sweep": "Yaw sweep",
+}
+
+
+def _stage(gate: str) -> str:
+    """Return the stage that a gate belongs to, by the first part of its name."""
+    return _STAGES.get(gate.partition("-")[0], "Gaze calibration")
+
+
+def _outcome(stage: str, gates: Sequence[Gate]) -> Text:
+    failed = [gate.name for gate in gates if not gate.passed]
+    if not failed:
+        count = "1 check" if len(gates) == 1 else f"all {len(gates)} checks"
+        return Markup('<span class="good">✓</span> {}: {} passed').format(stage, count)
+    return Markup('<span class="caution">▲</span> {}: {} of {} checks failed ({})').format(
+        stage, len(failed), len(gates), ", ".join(failed)
+    )
+
+
+def _checks(stage: str, gates: Sequence[Gate]) -> Block:
     rows = [
         (
             words("passed" if gate.passed else "failed", mark="good" if gate.passed else "bad"),
             words(gate.name),
             words(gate.detail),
         )
-        for gate in c.gates
+        for gate in gates
     ]
-    return table("Checks", ("Outcome", "Check", "Figures that decided it"), rows, sortable=True)
+    heads = ("Outcome", "Check", "Figures that decided it")
+    return table(f"Checks: {stage}", heads, rows, sortable=True)

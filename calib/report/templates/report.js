@@ -28,3 +28,176 @@ for (const table of document.querySelectorAll("table.sortable")) {
     head.append(button);
   });
 }
+
+// Chapters fold. Links into them, printing and the button of the contents open them.
+const folds = Array.from(document.querySelectorAll("main details"));
+// In a narrow window the contents would push the verdict off the first screen.
+if (innerWidth < 992) document.querySelector(".contents").open = false;
+const reveal = () => {
+  const target = location.hash && document.getElementById(decodeURIComponent(location.hash.slice(1)));
+  if (!target) return;
+  const inner = target.querySelector(":scope > details");
+  if (inner) inner.open = true;
+  for (let at = target; at; at = at.parentElement) if (at.tagName === "DETAILS") at.open = true;
+  target.scrollIntoView();
+};
+addEventListener("hashchange", reveal);
+reveal();
+let closed = [];
+addEventListener("beforeprint", () => {
+  closed = folds.filter((fold) => !fold.open);
+  for (const fold of closed) fold.open = true;
+});
+addEventListener("afterprint", () => {
+  for (const fold of closed) fold.open = false;
+});
+const everything = document.createElement("button");
+everything.type = "button";
+everything.className = "everything";
+everything.textContent = "Open all chapters";
+everything.addEventListener("click", () => {
+  const open = folds.some((fold) => !fold.open);
+  for (const fold of folds) fold.open = open;
+  everything.textContent = open ? "Close all chapters" : "Open all chapters";
+});
+document.querySelector("nav").append(everything);
+
+// Every table as CSV, numbers with all their digits; a cue beside what is wider than the window.
+const plain = (text) => text.replace(/\s+/g, " ").trim().replace(/\u2212/g, "-");
+const quoted = (text) => (/[",\n]/.test(text) ? `"${text.replace(/"/g, '""')}"` : text);
+const entry = (cell) => {
+  const text = plain(cell.textContent).replace(/^[\u25b2\u2713] /, "");
+  const single = /^[-+]?[\d.\u202f]+(e[-+]?\d+)?$/i.test(text) && cell.dataset.key !== undefined;
+  return quoted(single ? cell.dataset.key : text === "\u2013" ? "" : text);
+};
+const csv = (table) =>
+  Array.from(table.rows, (row) => Array.from(row.cells, entry).join(",")).join("\r\n") + "\r\n";
+const named = (text) => plain(text).toLowerCase().replace(/[^a-z0-9]+/g, "-").replace(/^-|-$/g, "");
+for (const box of document.querySelectorAll(".scroll")) {
+  const tools = document.createElement("div");
+  tools.className = "tools";
+  const cue = document.createElement("span");
+  cue.className = "cue";
+  cue.textContent = "\u2192 scroll sideways for more";
+  tools.append(cue);
+  const table = box.querySelector("table");
+  if (table) {
+    const link = document.createElement("a");
+    link.className = "data";
+    link.textContent = "This table (CSV)";
+    link.download = `${named(table.caption ? table.caption.textContent : "table")}.csv`;
+    link.href = "#";
+    link.addEventListener("click", () => {
+      link.href = `data:text/csv;charset=utf-8,${encodeURIComponent(csv(table))}`;
+    });
+    tools.append(link);
+  }
+  box.after(tools);
+  new ResizeObserver(() => {
+    box.classList.toggle("cut", box.scrollWidth > box.clientWidth + 1);
+  }).observe(box);
+}
+
+// Values under the pointer, and figures and pictures enlarged: wheel or +/- to zoom, drag to move.
+const tip = document.createElement("div");
+tip.className = "tip";
+tip.hidden = true;
+tip.setAttribute("role", "status");
+const pointsOf = (image) => (image.dataset.points ? JSON.parse(image.dataset.points) : []);
+// Where a picture is drawn: one that fits into a larger frame leaves room about it.
+const drawn = (image) => {
+  const frame = image.getBoundingClientRect();
+  const natural = image.naturalWidth / image.naturalHeight;
+  const width = Math.min(frame.width, frame.height * natural);
+  const height = width / natural;
+  return { left: frame.left + (frame.width - width) / 2, top: frame.top + (frame.height - height) / 2, width, height };
+};
+const hover = (image, points) => {
+  image.addEventListener("pointermove", (event) => {
+    const box = drawn(image);
+    let best = null;
+    let least = 14;
+    for (const [x, y, text] of points) {
+      const away = Math.hypot(box.left + x * box.width - event.clientX, box.top + y * box.height - event.clientY);
+      if (away < least) [least, best] = [away, text];
+    }
+    tip.hidden = best === null;
+    if (best === null) return;
+    tip.textContent = best;
+    (image.closest("dialog") || document.body).append(tip);
+    tip.style.left = `${Math.min(event.clientX + 12, innerWidth - tip.offsetWidth - 4)}px`;
+    tip.style.top = `${Math.min(event.clientY + 12, innerHeight - tip.offsetHeight - 4)}px`;
+  });
+  image.addEventListener("pointerleave", () => { tip.hidden = true; });
+};
+const dialog = document.createElement("dialog");
+dialog.setAttribute("aria-label", "Enlarged figure");
+const large = document.createElement("img");
+const shut = document.createElement("button");
+shut.type = "button";
+shut.textContent = "Close";
+shut.addEventListener("click", () => dialog.close());
+const what = document.createElement("p");
+dialog.append(shut, what);
+document.body.append(dialog);
+const view = { scale: 1, x: 0, y: 0 };
+const place = () => {
+  large.style.transform = `translate(${view.x}px, ${view.y}px) scale(${view.scale})`;
+};
+const zoom = (factor, x, y) => {
+  const scale = Math.min(Math.max(view.scale * factor, 1), 40);
+  const by = scale / view.scale;
+  view.x = scale === 1 ? 0 : x - (x - view.x) * by;
+  view.y = scale === 1 ? 0 : y - (y - view.y) * by;
+  view.scale = scale;
+  place();
+};
+const at = (event) => {
+  const box = dialog.getBoundingClientRect();
+  return [event.clientX - box.left - large.offsetLeft, event.clientY - box.top - large.offsetTop];
+};
+dialog.addEventListener("wheel", (event) => {
+  event.preventDefault();
+  zoom(event.deltaY < 0 ? 1.25 : 0.8, ...at(event));
+}, { passive: false });
+dialog.addEventListener("keydown", (event) => {
+  const middle = [large.clientWidth / 2, large.clientHeight / 2];
+  if (event.key === "+") zoom(1.25, ...middle);
+  if (event.key === "-") zoom(0.8, ...middle);
+});
+large.addEventListener("pointerdown", (event) => {
+  event.preventDefault();
+  large.setPointerCapture(event.pointerId);
+});
+large.addEventListener("pointermove", (event) => {
+  if (!large.hasPointerCapture(event.pointerId)) return;
+  view.x += event.movementX;
+  view.y += event.movementY;
+  place();
+});
+let current = [];
+hover(large, { *[Symbol.iterator]() { yield* current; } });
+const enlarge = (image, words) => {
+  Object.assign(view, { scale: 1, x: 0, y: 0 });
+  place();
+  current = pointsOf(image);
+  large.src = image.dataset.large || image.src;
+  large.alt = image.alt;
+  what.textContent = words;
+  dialog.append(large);
+  dialog.showModal();
+};
+for (const image of document.querySelectorAll("figure img")) {
+  hover(image, pointsOf(image));
+  const words = image.closest("li") ? image.closest("li").textContent : "";
+  image.classList.add("zoom");
+  image.tabIndex = 0;
+  image.setAttribute("role", "button");
+  image.addEventListener("click", () => enlarge(image, words));
+  image.addEventListener("keydown", (event) => {
+    if (event.key === "Enter" || event.key === " ") {
+      event.preventDefault();
+      enlarge(image, words);
+    }
+  });
+}

@@ -15,8 +15,11 @@ from itertools import count
 from typing import Final
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from calib.core.arrays import FloatArray
+from calib.core.errors import UsageError
+from calib.geometry.camera import project
 from calib.rig.virtual.world import CameraName, World
 from calib.simulate.rig import c2_pose
 from calib.simulate.scene import (
@@ -38,6 +41,11 @@ RULER_U_MM: Final = 0.5
 MOVED_WITHIN_S: Final = (0.05, 1.0)
 MOVED_BY_MM: Final = (3.0, 40.0)
 """When and how far a target is moved by the fault `moving_share`."""
+
+PLATE_TRIES: Final = 20_000
+PLATE_TURN_DEG: Final = np.array([65.0, 12.0, 8.0])
+PLATE_MARGIN, PLATE_EDGE = 0.06, 0.2
+"""Shares of the picture: rim kept free by a plate's corners, least length of its upright edges."""
 
 
 class Operator:
@@ -77,6 +85,52 @@ class Operator:
             held=self._held,
         )
         self.put(poses[0])
+
+    def show_plate(self, depth_range_mm: tuple[float, float] | None = None) -> None:
+        """Put the plate up so that C1 sees both its upper corners, at different depths.
+
+        Raises
+        ------
+        UsageError
+            If there is none, or there is no such place within the working depths.
+        """
+        near, far = depth_range_mm or self._world.rig.depth_range_mm
+        corners = self._world.sheet.corners_mm
+        if not corners:
+            raise UsageError("no plate stands before the rig: [virtual] target in rig.toml")
+        ends = np.stack([corners["left-upper"], corners["right-upper"], corners["left-lower"]])
+        length, height = (float(np.hypot(*(ends[0] - ends[k])[:2])) for k in (1, 2))
+        for _ in range(PLATE_TRIES):
+            turn, tilt, roll = self._gazes.uniform(-1, 1, 3) * PLATE_TURN_DEG
+            pose = np.eye(4)
+            pose[:3, :3] = Rotation.from_euler("yxz", [turn, tilt, roll], degrees=True).as_matrix()
+            middle = self._gazes.uniform([-0.3, -0.2, 1], [0.3, 0.3, 1])
+            middle *= self._gazes.uniform(near, far)
+            pose[:3, 3] = middle - pose[:3, :3] @ ends[:2].mean(axis=0)
+            if self._shows_plate(ends[:2] @ pose[:3, :3].T + pose[:3, 3], height, (near, far)):
+                self.put(pose)
+                return
+        raise UsageError(
+            f"a plate of {length:g} mm has no place between {near:.0f} and {far:.0f} mm where C1 "
+            "sees both its ends"
+        )
+
+    def _shows_plate(
+        self, ends: FloatArray, height_mm: float, depth_range_mm: tuple[float, float]
+    ) -> bool:
+        """Return whether C1 sees both ends well, and they are within the depths."""
+        lens = self._world.rig.c1
+        near, far = depth_range_mm
+        if ends[:, 2].min() < near or ends[:, 2].max() > far:
+            return False
+        size = np.array(lens.image_size)
+        pixels = project(lens, ends)
+        upright = np.minimum(
+            size[1] - pixels[:, 1], height_mm * lens.matrix[1, 1] / ends[:, 2]
+        ) / size[1]  # fmt: skip
+        margin = PLATE_MARGIN * size
+        inside = ((pixels > margin) & (pixels < size - margin)).all()
+        return bool(inside and upright.min() > PLATE_EDGE)
 
     def put(self, pose: FloatArray) -> None:
         """Put the board at a pose in C1, shape (4, 4), mm; it may not stay there."""

@@ -1,8 +1,9 @@
-"""What may stand before the virtual rig: boards, and targets of one point on a sheet of paper."""
+"""What may stand before the virtual rig: boards, targets of one point on a sheet, plates."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Final
 
 import cv2
@@ -20,6 +21,14 @@ TAG_PX, ARM_PX, DISC_PX = 40.0, 24.0, 12.0
 DISC_CELLS: Final = 60
 """A disc is made of cells so many across, finer than any pixel that sees it."""
 
+METAL: Final = 0.7
+"""Reflectance of a plate."""
+
+ROUND_CELL_MM: Final = 0.5
+"""A round corner is made of cells of this size."""
+
+PLATE_MOST_MM: Final = 1e5
+
 
 @dataclass(frozen=True)
 class Sheet:
@@ -32,10 +41,14 @@ class Sheet:
         middle corner is the target.
     pattern
         What is printed, in the board's frame.
+    corners_mm
+        Of a plate, where its corners would be if they were sharp, in the board's frame, shape (3,)
+        each, by the names of `calib.gaze.plate`.
     """
 
     board: Board
     pattern: Pattern
+    corners_mm: Mapping[str, FloatArray] = field(default_factory=dict)
 
 
 def sheet(kind: str, board: Board, *, pixel_mm: float) -> Sheet:
@@ -44,7 +57,8 @@ def sheet(kind: str, board: Board, *, pixel_mm: float) -> Sheet:
     Parameters
     ----------
     kind
-        "board", "tag:DICTIONARY:ID", "cross" or "blob", as `[virtual] target` names it.
+        "board", "tag:DICTIONARY:ID", "cross", "blob" or "plate:LENGTH,HEIGHT,RADIUS", as `[virtual]
+        target` names it.
     board
         Taken for "board".
     pixel_mm
@@ -67,9 +81,11 @@ def sheet(kind: str, board: Board, *, pixel_mm: float) -> Sheet:
         modules = len(cells) - 4
         edges = (np.arange(len(cells) + 1) - len(cells) / 2) * TAG_PX * pixel_mm / modules
         return _plain(edges, cells)
+    if kind.startswith("plate:"):
+        return _plate(kind)
     raise UsageError(
         f"rig.toml, [virtual] target: {shown(kind)} is not known; write 'board', "
-        "'tag:DICT_APRILTAG_36h11:7', 'cross' or 'blob'"
+        "'tag:DICT_APRILTAG_36h11:7', 'cross', 'blob' or 'plate:1400,500,10'"
     )
 
 
@@ -79,6 +95,36 @@ def _plain(edges: FloatArray, cells: FloatArray) -> Sheet:
     board = Board("chessboard", 3, 3, side / 2, (1, 1))
     lines = edges + board.square_mm
     return Sheet(board, Pattern(lines, lines, np.pad(cells, 1, constant_values=SURROUNDINGS)))
+
+
+def _plate(kind: str) -> Sheet:
+    """Return a bare plate with rounded corners; its middle is the target."""
+    try:
+        length, height, radius = (float(text) for text in kind.removeprefix("plate:").split(","))
+    except ValueError:
+        length = height = radius = -1.0
+    if not (0 <= radius < min(length, height) / 2 < PLATE_MOST_MM):
+        raise UsageError(
+            f"rig.toml, [virtual] target: {shown(kind)} is no plate; write length, height and "
+            "radius of the corners in mm, such as 'plate:1400,500,10'"
+        )
+    board = Board("chessboard", 3, 3, height / 2, (1, 1))
+    steps = np.linspace(0, radius, round(radius / ROUND_CELL_MM) + 1)
+    x, y = (np.unique(np.r_[-side / 2 + steps, side / 2 - steps]) for side in (length, height))
+    middle_x, middle_y = np.meshgrid((x[1:] + x[:-1]) / 2, (y[1:] + y[:-1]) / 2)
+    beyond = [
+        np.maximum(np.abs(middle) - side / 2 + radius, 0)
+        for middle, side in ((middle_x, length), (middle_y, height))
+    ]
+    cells = np.where(np.hypot(*beyond) <= radius, METAL, SURROUNDINGS)
+    at = board.square_mm
+    corners = {
+        f"{side}-{end}": np.array([at + i * length / 2, at + j * height / 2, 0.0])
+        for side, i in (("left", -1), ("right", 1))
+        for end, j in (("upper", -1), ("lower", 1))
+    }
+    pattern = Pattern(x + at, y + at, np.pad(cells, 1, constant_values=SURROUNDINGS))
+    return Sheet(board, pattern, corners)
 
 
 def _cross() -> FloatArray:

@@ -1,0 +1,110 @@
+"""`calib length`: the distance of two points that the rig gazes at, one after the other."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from typing import TYPE_CHECKING
+
+from calib.cli.acceptance import add_acceptance, warn_of_failed
+from calib.cli.arguments import add_input, add_output, positive
+from calib.cli.gaze import make_gazer
+from calib.cli.measure import writer
+from calib.cli.rig_options import add_rig, opened
+from calib.stages.output_guard import OutputKind
+
+if TYPE_CHECKING:
+    from calib.gaze.length import GazedLength
+
+DONE, NOT_ALL = 0, 3
+
+PLATE = "plate:1400,500,10"
+"""Before the embedded virtual rig: the longest plate of Xu and Wang."""
+
+COLUMNS = (
+    "id", "from", "to", "length_mm", "u_length_mm", "low95_mm", "high95_mm",
+    "from_z_mm", "to_z_mm", "status",
+)  # fmt: skip
+LENGTHS = OutputKind(is_folder=False, marks=(b"id,from,to,length_mm,",))
+
+COVERAGE = 1.96
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's arguments."""
+    add_input(parser, "calibration", metavar="CALIBRATION.json")
+    add_rig(parser)
+    parser.add_argument(
+        "--from", dest="start", default="plate:left-upper", metavar="TARGET",
+        help="plate:left-upper (default), another corner of a plate, or a target of calib gaze",
+    )  # fmt: skip
+    parser.add_argument(
+        "--to", dest="end", default="plate:right-upper", metavar="TARGET",
+        help="default: plate:right-upper",
+    )  # fmt: skip
+    parser.add_argument(
+        "--count",
+        type=positive,
+        default=1,
+        metavar="N",
+        help="things to measure, one after another",
+    )
+    add_output(parser, "--out", kind=LENGTHS, metavar="CSV", help="default: standard output")
+    parser.add_argument(
+        "--model", default="selected", metavar="NAME",
+        help="selected (default), a fitted model, or average over all of them",
+    )  # fmt: skip
+    add_acceptance(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Measure lengths and return the exit status: 3 if one could not be or a gate had failed."""
+    from calib.core.errors import UsageError
+    from calib.gaze.length import gaze_length
+    from calib.gaze.measured import aiming, lenses
+    from calib.gaze.placing import placing_for
+    from calib.gaze.target import target
+    from calib.instrument.calibration_file import read_calibration
+    from calib.instrument.measured_text import csv_text
+    from calib.rig.known import known_board
+    from calib.rig.protocols import RigError
+
+    if arguments.start == arguments.end:
+        raise UsageError("length: --from and --to name one and the same target")
+    measuring = read_calibration(arguments.calibration, allow_edited=arguments.allow_edited)
+    minded = warn_of_failed(
+        arguments.calibration, measuring.failed_gates, accepted=arguments.accept_failed
+    )
+    status = "gate failed" if minded else "ok"
+    refused = 0
+    with opened(arguments.rig, virtual_target=PLATE) as rig, writer(arguments.out) as write:
+        known = lenses(measuring, rig, name=str(arguments.calibration))
+        board = known_board(rig)
+        ends = target(arguments.start, board), target(arguments.end, board)
+        gazer = make_gazer(arguments, rig, known.c2, lens_c1=known.c1, at=ends[0])
+        where = aiming(measuring, known.c1)
+        hand = placing_for(rig, _tell)
+        write(csv_text([COLUMNS]))
+        for name in (f"l{i:02d}" for i in range(1, arguments.count + 1)):
+            hand.place(name)
+            try:
+                found = gaze_length(gazer, where, measuring, ends, model=arguments.model)
+            except RigError as error:
+                refused += 1
+                _tell(f"calib: {name}: {error}")
+                cells = [*("",) * 6, str(error)]
+            else:
+                cells = [*_numbers(found), status]
+            write(csv_text([[name, ends[0].name, ends[1].name, *cells]]))
+    return NOT_ALL if refused or minded else DONE
+
+
+def _numbers(found: GazedLength) -> tuple[str, ...]:
+    half = COVERAGE * found.u_mm
+    z = found.positions.position_mm[:, 2]
+    values = (found.length_mm, found.u_mm, found.length_mm - half, found.length_mm + half, *z)
+    return tuple(f"{value:.4f}" for value in values)
+
+
+def _tell(line: str) -> None:
+    print(line, file=sys.stderr, flush=True)

@@ -1,0 +1,58 @@
+"""The length between two points: each is gazed at, and errors that both share cancel."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from calib.gaze.aim import Aiming
+from calib.gaze.gazing import Gazer
+from calib.gaze.measured import positions
+from calib.gaze.row import GazeRow, refuse_moved
+from calib.gaze.target import Target
+from calib.instrument.calibration_file import Measuring
+from calib.instrument.measuring import Positions
+from calib.rig.protocols import Refused
+
+
+@dataclass(frozen=True)
+class GazedLength:
+    """A distance between two targets.
+
+    Parameters
+    ----------
+    rows
+        Of the two, in the order in which they were gazed at.
+    positions
+        Of both.
+    length_mm, u_mm
+        Their distance and its standard uncertainty, mm.
+    """
+
+    rows: tuple[GazeRow, GazeRow]
+    positions: Positions
+    length_mm: float
+    u_mm: float
+
+
+def gaze_length(
+    gazer: Gazer, aiming: Aiming, measuring: Measuring, ends: tuple[Target, Target], *, model: str
+) -> GazedLength:
+    """Gaze at both ends and return their distance.
+
+    The farther one, which needs C2 the more exactly, is gazed at first; the first is looked at
+    again at the end, for a thing that moved in between has another length.
+
+    Raises
+    ------
+    RigError
+        If one of them cannot be gazed at, or moved; the message says why.
+    """
+    eyes = [replace(gazer, target=end) for end in ends]
+    rows = [eye.gaze(aiming) for eye in eyes]
+    again = eyes[0].find_in_c1()
+    refuse_moved(f"C1, {ends[0].name}:", rows[0].c1, [again], eyes[0].noise_c1)
+    found = positions(measuring, rows, model=model)
+    for i, why in sorted(found.faults.items()):
+        raise Refused(f"{ends[i].name}: {why}")
+    length, u = found.length(0, 1)
+    return GazedLength((rows[0], rows[1]), found, length, u)

@@ -13,6 +13,7 @@ from calib.dataset.manifest import DEFAULT_U_X1C
 from calib.fit.information import row_information
 from calib.fit.priors import NormalKnowledge, Priors, measured_of, prior_of
 from calib.fit.robust import fit_robust, too_much
+from calib.fit.scale import scaled_defaults
 from calib.fit.start import first_guess
 from calib.geometry.parameters import INDEX, MODELS, Model, embed, model_for
 from calib.geometry.plane import OBSERVABLE
@@ -71,7 +72,8 @@ def prepare(
     if model not in MODELS:
         raise UsageError(f"--model {model}: unknown; choose from {', '.join(MODELS)}")
     rows = prior_knowledge.rows
-    priors = Priors(row_priors(dataset), prior_knowledge.measured)
+    defaults = {} if rows is None else scaled_defaults(rows)
+    priors = Priors(defaults | row_priors(dataset), prior_knowledge.measured)
     settings, notes = _settings(dataset)
     if rows is None:
         knowledge = _from_priors(MODELS[model], priors, prior_knowledge.baseline_mm)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -51,6 +51,8 @@ class ReportContext:
         One count or microstep; None where no encoder is described.
     priors
         Mean and standard deviation by parameter, as the manifest states them.
+    scaled_priors
+        Default ones that were scaled to a rig of another size.
     published
         Published value and standard uncertainty by quantity, as the manifest states them.
     made
@@ -65,6 +67,7 @@ class ReportContext:
     priors: Mapping[str, tuple[float, float]]
     published: Mapping[str, tuple[float, float]]
     made: Provenance
+    scaled_priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
 
 def report_context(dataset: Dataset, made: Provenance) -> ReportContext:

@@ -20,6 +20,7 @@ from calib.certificate.numbers import (
 from calib.core.gate import Gate
 from calib.geometry.parameters import INDEX, PARAMETERS
 from calib.results.wording import EXTRAPOLATED, LENGTHS_NOTE, VERDICTS, clean
+from calib.rows.observations import GROUP_SOURCE
 from calib.uncertainty.certified import CertifiedDepth, CheckedDepth
 from calib.uncertainty.depth import DepthUncertainty
 from calib.uncertainty.evidence import Evidence
@@ -48,7 +49,7 @@ def annexes(inputs: CertificateInputs) -> tuple[Annex, ...]:
             evidence.depths,
             mean_gaze_rad=calibration.instrument.mean_gaze_rad,
             cameras=shared is not None and shared.of_readings > 0,
-            groups=shared is not None and shared.of_rows_alone > 0,
+            groups=shared is not None and GROUP_SOURCE in shared.names,
         ),
         _monte_carlo(evidence.depths),
         _positions(evidence.depths),

@@ -47,7 +47,7 @@ def assemble(
     if gaze is None or gaze.calibrated is None:
         raise ValueError("without a calibrated instrument there is nothing to certify")
     return CertificateInputs(
-        administration=_administration(manifest.certificate, manifest.rig),
+        administration=_administration(manifest.certificate, manifest.rig, gaze),
         issue=issue,
         provenance=Provenance(
             dataset_name=calibration.name,
@@ -66,9 +66,12 @@ def assemble(
     )
 
 
-def _administration(stated: Certificate, rig: Rig) -> Administration:
+def _administration(stated: Certificate, rig: Rig, gaze: GazeResult) -> Administration:
     values = stated.model_dump(exclude={"tolerance", "decision_rule"})
     values["serial"] = stated.serial or rig.serial
+    if gaze.correction is not None:
+        corrected = f"The calibration rows were corrected: {gaze.correction.text}."
+        values["deviations"] = " ".join(filter(None, (stated.deviations, corrected)))
     return Administration(**values)
 
 

@@ -15,8 +15,12 @@ from calib.chain.rows import gaze_rows, gaze_setup, validation_setup
 from calib.checks.encoder_direction import check_encoder_direction
 from calib.checks.stereo_pose import pose_warnings
 from calib.checks.verdict import all_gates, all_warnings, disagreements
+from calib.core.errors import InputError
 from calib.dataset.contents import Dataset
 from calib.dataset.tables import LengthTable
+from calib.diagnosis.correction import correct_rows
+from calib.diagnosis.engine import Attempt, diagnose
+from calib.diagnosis.session import row_history
 from calib.fit.compare import compare_models
 from calib.fit.convex import fit_convex
 from calib.fit.group_check import check_groups
@@ -99,7 +103,8 @@ def calibrate(
                 mirrored = given("mirrored rows", mirror.rows(rows.value))
                 setup = gaze_setup(dataset, images)
                 gaze = _gaze_chain(dataset, options, store, images, mirrored, mirror)
-                gaze = mirror_gaze(gaze, mirror, rows=rows.value, setup=setup)
+                own = rows.value if gaze.correction is None else mirror.rows(gaze.rows)
+                gaze = mirror_gaze(gaze, mirror, rows=own, setup=setup)
             else:
                 gaze = _gaze_chain(dataset, options, store, images, rows)
         result = images.result()
@@ -151,6 +156,7 @@ def _gaze_chain(
     run, is_left = store.run, mirror is not None
     known = Priors(row_priors(dataset), images.measured())
     priors = given("priors", mirror_priors(known) if is_left else known)
+    rows, correction = _corrected(dataset, store, rows, priors, is_left=is_left)
     # fmt: off
     encoder_direction = run(stage("encoder direction", check_encoder_direction, rows,
                                   is_left=is_left))
@@ -179,6 +185,7 @@ def _gaze_chain(
         robust={name: robust[name].value for name, p in posterior.items() if p.failed is None},
         posterior={name: p.value for name, p in posterior.items() if p.failed is None},
         refused={name: s.failed for name, s in every.items() if s.failed is not None},
+        correction=correction,
     )
     if not result.posterior:
         return result
@@ -235,6 +242,10 @@ def _measure(
                            fitted.posterior[selected], fitted.robust[selected], rows, setup))
     depths = run(stage("depths", tabulate_depths,
                        calibrated, low_mm=low, high_mm=high, seed=seed))
+    diagnosis = run(stage("diagnosis", diagnose,
+                          rows, priors, fitted.robust[selected],
+                          given("row history", row_history(dataset)), depths,
+                          is_left=mirror is not None))
     average = run(stage("average", build_average,
                         posteriors, fits, comparison, rows, setup, calibrated, depths, seed=seed))
     measured = None
@@ -253,8 +264,43 @@ def _measure(
         average=average.value,
         validation=None if measured is None else measured.value,
         groups=groups.value,
+        diagnosis=diagnosis.value,
         evidence=evidence.get(),
     )
+
+
+def _corrected(
+    dataset: Dataset,
+    store: Store,
+    rows: Staged[Observations],
+    priors: Staged[Priors],
+    *,
+    is_left: bool,
+) -> tuple[Staged[Observations], Attempt | None]:
+    """Return the rows without the error of a cause that the manifest accepts, and the cause.
+
+    Raises
+    ------
+    InputError
+        If the rows cannot tell it.
+    """
+    stated = dataset.manifest.corrections
+    if stated is None:
+        return rows, None
+    history = given("row history", row_history(dataset))
+    found = store.run(
+        stage(
+            "correction", correct_rows, rows, priors, history,
+            accepted=stated.accept, is_left=is_left,
+        )
+    )  # fmt: skip
+    if found.failed is not None:
+        raise InputError.single(
+            where="dataset.toml, [corrections]",
+            what=found.failed,
+            remedy="remove the section, or mend the rows",
+        )
+    return given("corrected rows", found.value.rows), found.value.cause
 
 
 def _lengths(dataset: Dataset) -> Staged[LengthTable] | None:

@@ -9,6 +9,7 @@ from scipy.stats import chi2
 
 from calib.core.arrays import FloatArray
 from calib.core.gate import Gate
+from calib.diagnosis.engine import Diagnosis
 from calib.fit.chains import ESS_GOAL, R_HAT_LIMIT
 from calib.fit.group_check import GroupCheck
 from calib.fit.identifiability import Identifiability
@@ -121,6 +122,8 @@ def gaze_gates(gaze: GazeResult) -> tuple[Gate, ...]:
         gates.append(gaze.identifiability[selected].gate)
     if gaze.calibrated is not None and gaze.depths is not None:
         gates.append(_depth(gaze.calibrated, gaze.depths))
+    if gaze.diagnosis is not None:
+        gates.append(_diagnosis(gaze.diagnosis))
     return tuple(gates)
 
 
@@ -224,6 +227,19 @@ def _depth(calibrated: CalibratedInstrument, depths: DepthTable) -> Gate:
     return Gate("depth", passed=passed, detail=detail)
 
 
+def _diagnosis(found: Diagnosis) -> Gate:
+    """Gate on mistakes that the rows show and that move depths."""
+    cause = found.left_out
+    if cause is None:
+        detail = "no mistake is known that explains the rows better and moves depths by their u"
+        return Gate("diagnosis", passed=True, detail=detail)
+    return Gate(
+        "diagnosis",
+        passed=False,
+        detail=f"{found.words(cause)}. It moves a depth by {cause.effect:.2g} u",
+    )
+
+
 def gaze_warnings(gaze: GazeResult) -> tuple[str, ...]:
     """Return what the reader should know of the gaze calibration."""
     found = []
@@ -254,6 +270,14 @@ def gaze_warnings(gaze: GazeResult) -> tuple[str, ...]:
         ]
     if gaze.groups is not None and gaze.groups.together:
         found.append(_together(gaze.groups))
+    if gaze.correction is not None:
+        found.append(f"the rows are corrected ([corrections]): {gaze.correction.text}")
+    if gaze.diagnosis is not None:
+        found += [
+            f"the rows show {gaze.diagnosis.words(cause)}"
+            for cause in gaze.diagnosis.causes[:1]
+            if cause is not gaze.diagnosis.left_out
+        ]
     if gaze.average is not None and gaze.depths is not None:
         told = doubt_of(gaze.average, gaze.depths)
         found += [] if told is None else [told]

@@ -67,7 +67,17 @@ def summary(out: Path) -> tuple[str, bool]:
                 figures += f" (95 %: {low} to {high})"
             lines.append(f"  {name:24s} {figures}{decided}")
     failed = [gate for gate in result["gates"] if not gate["passed"]]
+    lines += [_cause(cause) for cause in result.get("diagnosis", [])]
     lines += [f"GATE FAILED  {gate['name']}: {gate['detail']}" for gate in failed]
     lines += [f"warning: {text}" for text in result.get("warnings", [])]
     lines.append(f"results in {harmless(str(out))}")
     return "\n".join(lines), not failed
+
+
+def _cause(cause: dict[str, Any]) -> str:
+    """Return a diagnosed cause in one line."""
+    before, after = cause["noise_scale"]
+    return (
+        f"CAUSE  {cause['cause']}: {cause['text']} (residuals {before:.2g} times what is stated, "
+        f"{after:.2g} with it; evidence {cause['gain']:.0f} nats)"
+    )

@@ -60,7 +60,7 @@ GROUPS: tuple[tuple[str, tuple[Command, ...]], ...] = (
             Command("batch", batch, "calibrate many datasets, with one summary"),
             Command("check", check, "list every problem of a dataset; writes nothing"),
             Command("verify", verify, "are the files of a run whole and untouched?"),
-            Command("schema", schema, "JSON Schema of dataset.toml or calibration.json"),
+            Command("schema", schema, "JSON Schema of dataset.toml, calibration.json or rig.toml"),
         ),
     ),
     (

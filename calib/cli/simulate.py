@@ -35,6 +35,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--outliers", type=float, default=0.0, metavar="SHARE", help="of rows with gross errors"
     )
     parser.add_argument(
+        "--fault",
+        action="append",
+        default=[],
+        metavar="NAME[=VALUE]",
+        help="make a mistake that the diagnosis should find: docs/troubleshooting.md has them",
+    )
+    parser.add_argument(
         "--set", action="append", default=[], metavar="NAME=VALUE", help="fix a parameter"
     )
 
@@ -53,6 +60,7 @@ def run(arguments: argparse.Namespace) -> int:
         images=arguments.images,
         is_left=arguments.c2 == "left",
         outlier_share=arguments.outliers,
+        faults=dict(_fault(text) for text in arguments.fault),
         fixed=dict(_assignment(text) for text in arguments.set),
     )
     console = Console()
@@ -62,6 +70,14 @@ def run(arguments: argparse.Namespace) -> int:
         console.close()
     print(f"{harmless(str(arguments.out))}: written, with its truth in truth.json")
     return 0
+
+
+def _fault(text: str) -> tuple[str, float | None]:
+    name, given, value = text.partition("=")
+    try:
+        return name, float(value) if given else None
+    except ValueError:
+        raise UsageError(f"--fault {text}: give NAME or NAME=VALUE, as reading-step=0.2") from None
 
 
 def _assignment(text: str) -> tuple[str, float]:

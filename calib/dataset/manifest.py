@@ -11,6 +11,7 @@ from typing import Final, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from calib.dataset.corrections import AcceptedCause
 from calib.dataset.depth_origin import DepthOrigin, origin_of
 from calib.dataset.fields import (
     AngleDeg,
@@ -247,10 +248,14 @@ class Rig(Section):
 
 
 class Encoder(Section):
-    """The yaw encoder: one count or microstep, and what else is uncertain of a reading."""
+    """The yaw encoder: one count or microstep, and what else is uncertain of a reading.
+
+    `full_step_deg` is a stepper's full step at the axis, in which microsteps repeat their error.
+    """
 
     resolution_deg: StepDeg
     u_alpha2_deg: UAngleDeg = 0.0
+    full_step_deg: StepDeg | None = None
 
     @property
     def std_rad(self) -> float:
@@ -305,6 +310,12 @@ class Table(Section):
     """A section that names a table and nothing else: lengths."""
 
     table: Line
+
+
+class Corrections(Section):
+    """A diagnosed cause that is accepted: the rows are corrected by its estimate."""
+
+    accept: AcceptedCause
 
 
 class Sweep(Table):
@@ -374,6 +385,7 @@ class Manifest(Section):
     sweep: Sweep | None = None
     lengths: Table | None = None
     priors: Priors = Field(default_factory=dict)
+    corrections: Corrections | None = None
     published: Published = Field(default_factory=dict)
     certificate: Certificate = Certificate()
 

@@ -13,6 +13,7 @@ from calib.core.arrays import BoolArray, FloatArray
 from calib.core.errors import InputError, Problem
 from calib.dataset.cells import Cells, read_cells, require_columns
 from calib.dataset.conventions import readings_outside
+from calib.dataset.history import read_approaches, read_times
 from calib.dataset.messages import shortened, shown
 from calib.dataset.plausible import (
     Guess,
@@ -43,6 +44,8 @@ GAZE_COLUMNS = (
     "z_mm",
     "u_z_mm",
     "stereo",
+    "time",
+    "approach",
     "depth_row",
 )
 REFERENCE_COLUMN = r"z_([A-Za-z0-9][A-Za-z0-9_]*)_mm"
@@ -174,6 +177,8 @@ def scan_gaze(
         stereo=cells.names("stereo"),
         references=_references(cells),
         depth_row=_depth_rows(cells, ids),
+        time_s=read_times(cells),
+        approach=read_approaches(cells),
     )
     return _scanned(cells, table)
 

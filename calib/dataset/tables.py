@@ -7,11 +7,15 @@ written to. `calib.dataset.readers` makes these tables from text.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from calib.core.arrays import FloatArray
+
+
+def _unsaid() -> FloatArray:
+    return np.zeros(0)
 
 
 @dataclass(frozen=True)
@@ -51,6 +55,11 @@ class GazeTable:
         Further references, mm, by their name in ``z_<name>_mm``.
     depth_row
         Id of the row whose measured depth this row uses.
+    time_s
+        When the row was taken, s from any origin; shape (0,) where the table does not say it.
+    approach
+        -1 or 1, the side from which the axis came to rest; shape (0,) where the table does not say
+        it.
     """
 
     file: str
@@ -70,6 +79,8 @@ class GazeTable:
     stereo: tuple[str | None, ...]
     references: Mapping[str, FloatArray]
     depth_row: tuple[str | None, ...]
+    time_s: FloatArray = field(default_factory=_unsaid)
+    approach: FloatArray = field(default_factory=_unsaid)
 
     def __len__(self) -> int:
         return len(self.ids)

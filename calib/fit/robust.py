@@ -224,7 +224,8 @@ def _describe(
     model, prior = problem.model, problem.prior
     own = inverse(fit.data + prior.precision, model)
     by_shared = _by_shared(problem, fit, own)
-    added = by_shared.shape[1] - len(rows.shared_names)
+    named = (*rows.shared_names, *rows.alone_names)
+    added = by_shared.shape[1] - len(named)
     found = residuals(fit.theta, rows)
     standardised, residual = found.standardised, found.mrad
     outlier = rejected | is_outlier(standardised, fit.scale)
@@ -238,7 +239,7 @@ def _describe(
         values=fit.theta[list(model.indices)],
         covariance=own + by_shared @ by_shared.T,
         by_shared=by_shared,
-        shared_names=(*rows.shared_names, *(GROUP_SOURCE,) * added),
+        shared_names=(*named, *(GROUP_SOURCE,) * added),
         residual_mrad=residual,
         sigma_mrad=float(np.sqrt((residual[~outlier] ** 2).sum() / freedom)),
         standardised=standardised,
@@ -284,6 +285,9 @@ def _by_shared(problem: Problem, fit: Solution, own: FloatArray) -> FloatArray:
     change = np.zeros((len(problem.model.free), 0))
     if rows.shared_names:
         change = problem.response(fit.theta, fit.scale).to_shared(rows.shared)
+    if rows.alone_names:
+        alone = problem.response(fit.theta, fit.scale).to_shared(rows.alone)
+        change = np.hstack([change, alone])
     if rows.has_groups:
         change = np.hstack([change, wider_part(fit.groups.added, own, noise_scale=fit.scale)])
     return change

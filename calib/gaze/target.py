@@ -96,14 +96,18 @@ class _AnyLens:
 
 FLOOR_PX: Final = 0.025
 """Standard uncertainty of a large and sharp target's coordinate that repeats do not show. On
-rendered pictures of 640 x 480 px, 60 poses a kind, tilted up to 30 degrees: chessboard corners with
-squares of 6, 10 and 16 px 0.054, 0.029 and 0.018 px; tags of 24, 48 and 80 px 0.034, 0.022 and
-0.020; crosses with arms of 24 and 40 px 0.021 and 0.023; discs of 12 and 24 px 0.024 and 0.054."""
+rendered pictures of 640 x 480 px, 60 poses a kind, tilted up to 30 degrees: tags of 24, 48 and 80
+px 0.034, 0.022 and 0.020 px; crosses with arms of 24 and 40 px 0.021 and 0.023; discs of 12 and 24
+px 0.024 and 0.054."""
+
+CORNER_FLOOR_PX, CORNER_FLOOR_SQUARE = 0.008, 0.32
+"""The same of chessboard corners: a constant, and px times px of the squares' side. Rendered, 100
+poses each: squares of 6, 8, 12, 18, 28 and 36 px 0.054, 0.038, 0.024, 0.018, 0.013 and 0.011."""
 
 
 def _corner_floor(spacing_px: float) -> float:
     """Return a corner's floor, px; small squares leave it little edge to be found by."""
-    return max(FLOOR_PX, 0.3 / spacing_px)
+    return float(np.hypot(CORNER_FLOOR_PX, CORNER_FLOOR_SQUARE / spacing_px))
 
 
 def _tag_floor(side_px: float) -> float:

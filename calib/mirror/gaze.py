@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from calib.mirror.diagnosis import mirror_correction, mirror_diagnosis
 from calib.mirror.fits import (
     mirror_convex,
     mirror_identifiability,
@@ -47,5 +48,7 @@ def mirror_gaze(
         calibrated=None if r.calibrated is None else mirror_calibrated(r.calibrated, mirror, setup),
         average=None if r.average is None else mirror_average(r.average, mirror),
         validation=None if r.validation is None else mirror_measured(r.validation),
+        diagnosis=None if r.diagnosis is None else mirror_diagnosis(r.diagnosis),
+        correction=None if r.correction is None else mirror_correction(r.correction),
         evidence=None if r.evidence is None else mirror_evidence(r.evidence),
     )

@@ -66,12 +66,16 @@ class Mirror:
         shared = rows.shared
         if rows.shared_names:
             shared = signed(shared, np.outer(OBSERVABLE_SIGN, self.common))
+        alone = rows.alone
+        if rows.alone_names:
+            alone = signed(alone, np.array(OBSERVABLE_SIGN)[:, None])
         return replace(
             rows,
             x1c=signed(rows.x1c, -1.0),
             alpha2_rad=mirror_readings(rows.alpha2_rad),
             gaze_residual_rad=signed(rows.gaze_residual_rad, -1.0),
             shared=shared,
+            alone=alone,
         )
 
     def validation(self, validation: ValidationRows) -> ValidationRows:

@@ -16,6 +16,7 @@ from calib.report.sections.comparison import comparison
 from calib.report.sections.data import data
 from calib.report.sections.depth import depth
 from calib.report.sections.detection import detection
+from calib.report.sections.diagnosis import diagnosis
 from calib.report.sections.identifiability import identifiability
 from calib.report.sections.intrinsics import intrinsics
 from calib.report.sections.linear import linear
@@ -42,6 +43,7 @@ SECTIONS: tuple[Callable[[Calibration, ReportContext], Section | None], ...] = (
     parameters,
     identifiability,
     residuals,
+    diagnosis,
     linear,
     comparison,
     validation,

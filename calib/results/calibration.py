@@ -15,6 +15,7 @@ from calib.core.gate import Gate
 from calib.core.seal import with_digest
 from calib.core.version import __version__
 from calib.dataset.manifest import Rig
+from calib.diagnosis.engine import Attempt, Diagnosis
 from calib.fit.compare import Comparison, ModelScore
 from calib.fit.convex import ConvexFit
 from calib.fit.group_check import GroupCheck
@@ -28,6 +29,7 @@ from calib.instrument.averaging import ModelAverage
 from calib.instrument.calibrated import CalibratedInstrument, DepthTable, ValidationResult
 from calib.instrument.calibration_file import FORMAT
 from calib.results.average_document import average_depths, average_document
+from calib.results.diagnosis_document import correction_document, diagnosis_document
 from calib.results.fits_document import (
     convex_document,
     linear_document,
@@ -70,6 +72,10 @@ class GazeResult:
         None without validation rows.
     groups
         Whether rows of a group err together; None if no model could be fitted.
+    correction
+        What was corrected in the rows, as the manifest accepts; None where nothing was.
+    diagnosis
+        Mistakes that the rows show; None if no model could be fitted.
     evidence
         Accuracy at the certified depths; None if no model could be fitted.
     """
@@ -88,6 +94,8 @@ class GazeResult:
     average: ModelAverage | None = None
     validation: ValidationResult | None = None
     groups: GroupCheck | None = None
+    diagnosis: Diagnosis | None = None
+    correction: Attempt | None = None
     evidence: Evidence | None = None
 
 
@@ -212,6 +220,10 @@ def _gaze(g: GazeResult) -> dict[str, Any]:
         document["validation_summary"] = {
             e.name: {"rms_rel": e.rms_rel, "mean_rel": e.mean_rel} for e in g.validation.errors
         }
+    if g.diagnosis is not None:
+        document["diagnosis"] = diagnosis_document(g.diagnosis)
+    if g.correction is not None:
+        document["corrections"] = [correction_document(g.correction)]
     document["not_fitted"] = dict(g.refused)
     return document
 

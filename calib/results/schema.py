@@ -310,6 +310,37 @@ class ValidationRow(Part):
     own_angle_z_mm: dict[str, float]
 
 
+class CausePart(Part):
+    """A mistake that the rows show."""
+
+    cause: str = Field(description="name of a hypothesis")
+    at: str | None = Field(None, description="row, rows or group where it struck")
+    estimate: float | None = None
+    std: float | None = None
+    unit: str
+    gain: float = Field(
+        description="evidence, nats: gain in log marginal likelihood less penalties"
+    )
+    noise_scale: tuple[float, float] = Field(description="without and with it")
+    depth_change_over_u: float = Field(description="largest, if it is left out")
+    in_model: bool = Field(description="whether the model allows for it already")
+    text: str
+    remedy: str
+    fits_as_well: list[str] = Field(description="causes that explain the rows about as well")
+    told_apart_by: str
+
+
+class CorrectionPart(Part):
+    """A cause that the manifest accepts: the rows are corrected by its estimate."""
+
+    cause: str
+    at: str | None = None
+    estimate: float | None = None
+    std: float | None = None
+    unit: str
+    text: str
+
+
 class GatePart(Part):
     """A check of the result."""
 
@@ -347,6 +378,8 @@ class Document(Part):
     depth_uncertainty_average: list[AverageDepth] | None = None
     validation: list[ValidationRow] | None = None
     validation_summary: dict[str, dict[str, float]] | None = None
+    diagnosis: list[CausePart] | None = Field(None, description="best first")
+    corrections: list[CorrectionPart] | None = None
     not_fitted: dict[str, str] | None = None
     gates: list[GatePart]
     warnings: list[str]

@@ -70,6 +70,9 @@ class Observations:
     z_group
         Rows of one number have their reference depth from one measurement, shape (n,); shape (0,)
         if no two of them have.
+    alone, alone_names
+        Loadings, shape (n, 5, c), and names of further shared errors that these rows have and
+        readings have not: those of corrections. Shape (0, 0, 0) if there are none.
     u_z_group_mm
         What is uncertain of it, and so one error of all these rows, mm, shape (n,). It is part of
         `std`, which says of each row by itself how far its depth may be off.
@@ -88,6 +91,8 @@ class Observations:
     shared_names: tuple[str, ...] = ()
     z_group: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     u_z_group_mm: FloatArray = field(default_factory=lambda: np.zeros(0))
+    alone: FloatArray = field(default_factory=_no_shared)
+    alone_names: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -125,4 +130,6 @@ class Observations:
             shared_names=self.shared_names,
             z_group=self.z_group[index] if self.has_groups else self.z_group,
             u_z_group_mm=self.u_z_group_mm[index] if self.has_groups else self.u_z_group_mm,
+            alone=self.alone[index] if self.alone_names else self.alone,
+            alone_names=self.alone_names,
         )

@@ -13,6 +13,7 @@ from calib.core.arrays import FloatArray
 from calib.geometry.board import Board
 from calib.geometry.camera import Camera
 from calib.geometry.parameters import NAMES
+from calib.simulate.faults import FULL_STEP_COUNTS, size_of
 from calib.simulate.rig import Noise, Rig, c2_pose
 from calib.simulate.scene import IntrinsicViews, SweepPlan
 from calib.simulate.tables import SimulatedRows
@@ -64,6 +65,9 @@ class SimulationOptions:
         Yaw sweep.
     is_left
         Whether C2 stands at -X of C1; `fixed` is then of such a rig.
+    faults
+        Mistakes made with the rows, of `calib.simulate.faults`: size by name, None for the usual
+        one (tables only).
     """
 
     seed: int
@@ -81,6 +85,7 @@ class SimulationOptions:
     views: IntrinsicViews = field(default_factory=IntrinsicViews)
     sweep: SweepPlan = field(default_factory=SweepPlan)
     is_left: bool = False
+    faults: Mapping[str, float | None] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -212,8 +217,16 @@ def _head(options: SimulationOptions, rig: Rig) -> Section:
         "encoder": {
             "resolution_deg": degree(rig.resolution_rad),
             "u_alpha2_deg": degree(rig.noise.encoder_rad),
+            **_full_step(options, rig),
         },
     }
+
+
+def _full_step(options: SimulationOptions, rig: Rig) -> Section:
+    """Return the motor's full step where its error is one of the mistakes."""
+    if "microstep" not in options.faults:
+        return {}
+    return {"full_step_deg": degree(FULL_STEP_COUNTS * rig.resolution_rad)}
 
 
 def _truth(options: SimulationOptions, session: Session) -> Section:
@@ -231,11 +244,17 @@ def _truth(options: SimulationOptions, session: Session) -> Section:
         "cameras": {"c1": camera_section(rig.c1), "c2": camera_section(rig.c2)},
         "encoder": {"resolution_rad": rig.resolution_rad},
         "noise": asdict(rig.noise),
+        **_faults(options),
         "rows": {
             "gaze": dict(_row_truth(rig, "g", session.gaze)),
             "validation": dict(_row_truth(rig, "v", session.validation)),
         },
     }
+
+
+def _faults(options: SimulationOptions) -> Section:
+    made = {name: size_of(name, value) for name, value in options.faults.items()}
+    return {"faults": made} if made else {}
 
 
 def _row_truth(rig: Rig, letter: str, rows: SimulatedRows) -> Iterator[tuple[str, Section]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -22,6 +23,7 @@ from calib.simulate.contents import (
     finish,
     ids,
 )
+from calib.simulate.faults import Context, check_faults, spoil
 from calib.simulate.rig import Rig, draw_rig, mirror_rig
 from calib.simulate.scene import fitting_board
 from calib.simulate.session import draw_image_session
@@ -58,6 +60,9 @@ def _check(options: SimulationOptions) -> None:
     if options.model not in MODELS:
         raise UsageError(f"unknown model {options.model!r}; the models are {', '.join(MODELS)}")
     _check_fixed(options)
+    check_faults(options.faults)
+    if options.faults and options.images:
+        raise UsageError("--fault makes mistakes in tables; leave out --images")
     if not 0 <= options.outlier_share <= 1:
         raise UsageError(f"a share of outliers of {options.outlier_share:g} is not between 0 and 1")
     if options.depth_range_mm is not None:
@@ -118,12 +123,16 @@ def _draw_table_session(
         residual_measured=measured,
         outlier_share=options.outlier_share,
     )
+    context = Context(rig.resolution_rad, rng)
+    gaze = replace(gaze, observed=spoil(gaze.observed, options.faults, context))
     validation = observe(
         rig,
         checks,
         draw_targets(rig, checks, count=options.validation_rows, depth_range_mm=depths),
         residual_measured=measured,
     )
+    checked = spoil(validation.observed, options.faults, context, validation=True)
+    validation = replace(validation, observed=checked)
     manifest = {
         "gaze": {
             "table": "gaze.csv",
@@ -149,6 +158,7 @@ def _table(rig: Rig, letter: str, rows: SimulatedRows, *, residual_measured: boo
     seen = rows.observed
     columns: dict[str, Sequence[str | float]] = {
         "id": ids(letter, len(seen)),
+        **({} if seen.groups == seen.ids else {"group": seen.groups}),
         "x1c": seen.x1c.tolist(),
         "y1c": seen.y1c.tolist(),
         "alpha2_deg": degrees(seen.alpha2_rad),

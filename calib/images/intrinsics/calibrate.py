@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.core.arrays import BoolArray, FloatArray
+from calib.core.arrays import BoolArray, FloatArray, IntArray
 from calib.core.errors import EstimationError, InputError
 from calib.core.gate import Gate
 from calib.geometry.board import Board, Corners, LensFit
@@ -42,6 +42,7 @@ from calib.images.intrinsics.validate import CrossValidation, cross_validate
 from calib.images.mrcal.solves import MIN_CORNERS, focal_start
 from calib.images.opencv import steady_opencv
 from calib.images.pairs import single_view_pose
+from calib.images.repeats import repeat_clusters, repeats_warning
 
 MIN_VIEWS = 6
 """Views needed: three leave nine or more intrinsics without a check, and cross-validation wants to
@@ -287,7 +288,8 @@ def _assemble(
     selected, worse = better(mrcal.fits.get(lens), backends.checked[lens])
     points = backends.points[lens]
     scores = view_scores(selected.camera, selected.poses, selected.residuals, points)
-    dispersion = scores.dispersion()
+    clusters = repeat_clusters(corners.pixels, drawn)
+    dispersion = scores.dispersion(clusters[_views_of(selected)])
     enlarged = replace(selected, covariance=selected.covariance * dispersion)
     inliers = np.where(np.isfinite(selected.residuals), corners.pixels, np.nan)
     coverage = measure_coverage(inliers, corners.image_size)
@@ -315,7 +317,9 @@ def _assemble(
         selected=enlarged,
         covariance=enlarged.covariance,
         dispersion=dispersion,
-        alternatives=tuple(_enlarged(fit, drawn) for fit in backends.all if fit is not selected),
+        alternatives=tuple(
+            _enlarged(fit, drawn, clusters) for fit in backends.all if fit is not selected
+        ),
         selection=_selection(selected, validation, backends),
         images=corners.images,
         rejected_views=tuple(corners.images[i] for i in np.flatnonzero(unused)),
@@ -329,6 +333,7 @@ def _assemble(
         gates=gates,
         warnings=(
             *picture_warnings(camera, corners, repeated, left_out.images),
+            *repeats_warning(camera, corners.images, clusters),
             *backend_warnings(camera, mrcal),
             *([f"{camera}: {worse}"] if worse else []),
             *intrinsics_warnings(camera, gates, dispersion=dispersion, splined=splined),
@@ -337,16 +342,19 @@ def _assemble(
     )
 
 
-def _enlarged(fit: LensFit, drawn: FloatArray) -> LensFit:
+def _enlarged(fit: LensFit, drawn: FloatArray, clusters: IntArray) -> LensFit:
     """Return a fit with the covariance that its views bear out.
 
     Parameters
     ----------
     drawn
         Corners of the flat board, mm, shape (corners, 3).
+    clusters
+        Of each view, shape (views,).
     """
     points = deformed(drawn, fit.board_warp_mm)
-    factor = view_scores(fit.camera, fit.poses, fit.residuals, points).dispersion()
+    scores = view_scores(fit.camera, fit.poses, fit.residuals, points)
+    factor = scores.dispersion(clusters[_views_of(fit)])
     return replace(fit, covariance=fit.covariance * factor)
 
 

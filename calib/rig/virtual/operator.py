@@ -44,7 +44,7 @@ MOVED_BY_MM: Final = (3.0, 40.0)
 
 PLATE_TRIES: Final = 20_000
 PLATE_TURN_DEG: Final = np.array([65.0, 12.0, 8.0])
-PLATE_MARGIN, PLATE_EDGE = 0.06, 0.2
+PLATE_MARGIN, PLATE_EDGE = 0.06, 0.3
 """Shares of the picture: rim kept free by a plate's corners, least length of its upright edges."""
 
 
@@ -104,7 +104,7 @@ class Operator:
             turn, tilt, roll = self._gazes.uniform(-1, 1, 3) * PLATE_TURN_DEG
             pose = np.eye(4)
             pose[:3, :3] = Rotation.from_euler("yxz", [turn, tilt, roll], degrees=True).as_matrix()
-            middle = self._gazes.uniform([-0.3, -0.2, 1], [0.3, 0.3, 1])
+            middle = self._gazes.uniform([-0.3, -0.3, 1], [0.3, 0.15, 1])
             middle *= self._gazes.uniform(near, far)
             pose[:3, 3] = middle - pose[:3, :3] @ ends[:2].mean(axis=0)
             if self._shows_plate(ends[:2] @ pose[:3, :3].T + pose[:3, 3], height, (near, far)):

@@ -1,0 +1,97 @@
+"""What may have been done wrong, and what the rows say of it."""
+
+from __future__ import annotations
+
+from calib.diagnosis.engine import DECISIVE, Attempt, Cause, Diagnosis
+from calib.report.blocks import Block, Items, Notice, Paragraph, Section, number, table, words
+from calib.report.context import ReportContext
+from calib.report.figures.diagnosis import draw_cause
+from calib.report.numbers import signed
+from calib.report.plotting import picture
+from calib.results.calibration import Calibration
+from calib.uncertainty.format import significant
+
+
+def diagnosis(c: Calibration, _: ReportContext) -> Section | None:
+    """Write the diagnosis."""
+    if c.gaze is None or c.gaze.diagnosis is None:
+        return None
+    found = c.gaze.diagnosis
+    blocks: list[Block] = [Paragraph(_finding(found))]
+    for cause in found.causes:
+        blocks += _named(found, cause)
+    if found.causes:
+        blocks.append(
+            picture(
+                "cause",
+                draw_cause(found.causes[0]),
+                f"Residuals of the rows, by {found.model} alone and with {found.causes[0].name} as "
+                "a further parameter. With the right cause they scatter about zero without order.",
+            )
+        )
+    if found.tried:
+        blocks.append(_table(found))
+    return Section("diagnosis", "What may have been done wrong", tuple(blocks))
+
+
+def _finding(found: Diagnosis) -> str:
+    if not found.tried:
+        return "The rows are too few to tell mistakes in taking them from their noise."
+    count = len(found.tried)
+    if not found.causes:
+        return (
+            f"Of {count} mistakes that are often made none explains the rows decisively better "
+            f"than the models do. Slips too small to matter, and those that a model follows, "
+            "remain hidden."
+        )
+    first = found.causes[0]
+    before, after = first.noise_scale
+    text = (
+        f"Of {count} mistakes that are often made {first.name} explains the rows best: residuals "
+        f"are {before:.2g} times what is stated without it, {after:.2g} times with it."
+    )
+    if len(found.causes) > 1:
+        text += " Others explain them about as well; a measurement that distinguishes is named."
+    return text
+
+
+def _named(found: Diagnosis, cause: Cause) -> list[Block]:
+    matters = cause is found.left_out
+    blocks: list[Block] = [
+        Notice(
+            "bad" if matters else "note", cause.name, f"{cause.text[:1].upper()}{cause.text[1:]}."
+        )
+    ]
+    items = [f"Remedy: {cause.hypothesis.remedy}."]
+    if not cause.is_carried:
+        items.append(f"Left out, it moves a depth by up to {cause.effect:.2g} of its u.")
+    if found.others(cause):
+        others = ", ".join(found.others(cause))
+        items.append(f"As well it may be {others}. To distinguish: {cause.hypothesis.tells}.")
+    return [*blocks, Items(tuple(items))]
+
+
+def _table(found: Diagnosis) -> Block:
+    rows = [
+        (
+            words(attempt.name),
+            words(attempt.at or "", mark=""),
+            words(_estimate(attempt)),
+            number(signed(f"{attempt.gain:.1f}"), attempt.gain),
+        )
+        for attempt in found.tried
+    ]
+    return table(
+        f"Mistakes tried (evidence in nats; named from {DECISIVE:g})",
+        ("Mistake", "Where", "Estimate", "Evidence"),
+        rows,
+        sortable=True,
+    )
+
+
+def _estimate(attempt: Attempt) -> str:
+    if not attempt.std > 0:
+        return ""
+    unit = attempt.hypothesis.unit.replace("1", "")
+    value = signed(significant(attempt.estimate, digits=3))
+    return f"{value} ± {significant(attempt.std, digits=2)} {unit}".strip()

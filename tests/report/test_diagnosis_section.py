@@ -1,0 +1,64 @@
+"""The report's section on causes.
+
+Evidence: regression of texts on a cause put together by hand; figures of the picture are its own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from report_examples import paper
+
+from calib.diagnosis.engine import Cause, Diagnosis
+from calib.report.figures.diagnosis import draw_cause
+from calib.report.page import render_report
+
+BEFORE, AFTER = np.array([2.0, -2.0, 2.0]), np.array([0.3, -0.1, 0.2])
+STEP = Cause(
+    name="reading-step",
+    at="c13",
+    estimate=0.25,
+    std=0.012,
+    gain=41.3,
+    noise_scale=(4.06, 0.92),
+    effect=7.2,
+    is_carried=False,
+    ids=("c12", "c13", "c14"),
+    residual_mrad=np.stack([BEFORE, AFTER]),
+)
+
+
+def report(diagnosis: Diagnosis) -> str:
+    calibration, context = paper()
+    assert calibration.gaze is not None
+    return render_report(
+        replace(calibration, gaze=replace(calibration.gaze, diagnosis=diagnosis)), context
+    )
+
+
+def test_a_cause_is_said_with_remedy_and_effect() -> None:
+    page = report(Diagnosis("base", (STEP,), (STEP,)))
+    assert "From row c13 on alpha2 reads 0.25 +- 0.012 deg more than before" in page
+    assert STEP.hypothesis.remedy in page
+    assert "moves a depth by up to 7.2 of its u" in page
+    assert "4.1 times what is stated without it, 0.92 times with it" in page
+
+
+def test_causes_that_cannot_be_distinguished_name_each_other() -> None:
+    drift = replace(STEP, name="reading-drift", gain=40.0, at=None)
+    page = report(Diagnosis("base", (STEP, drift), (STEP, drift)))
+    assert "As well it may be reading-drift" in page
+    assert "As well it may be reading-step" in page
+
+
+def test_nothing_found_is_said() -> None:
+    page = report(Diagnosis("base", (), (replace(STEP, gain=-3.0),)))
+    assert "none explains the rows decisively better" in page
+
+
+def test_the_picture_holds_both_residuals() -> None:
+    drawing = draw_cause(STEP)
+    assert drawing.data["id"] == STEP.ids
+    np.testing.assert_array_equal(drawing.data["before_mrad"], BEFORE)
+    np.testing.assert_array_equal(drawing.data["after_mrad"], AFTER)

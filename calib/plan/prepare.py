@@ -146,7 +146,7 @@ def _settings(dataset: Dataset) -> tuple[RowSettings, tuple[str, ...]]:
         u_z_mm=0.0,
         u_z_rel=ASSUMED_U_Z_REL,
         encoder_step_rad=float(np.deg2rad(encoder.resolution_deg)),
-        u_alpha2_rad=float(np.deg2rad(encoder.u_alpha2_deg)),
+        u_alpha2_rad=float(np.deg2rad(encoder.further_u_deg)),
     )
     note = (
         f"no [gaze] in dataset.toml: u(x1c) = {DEFAULT_U_X1C:g} and u(z) = "

@@ -225,6 +225,7 @@ def _gaze(g: GazeResult) -> dict[str, Any]:
         }
     if g.diagnosis is not None:
         document["diagnosis"] = diagnosis_document(g.diagnosis)
+        document["residual_structure"] = [vars(test) for test in g.diagnosis.structure]
     if g.correction is not None:
         document["corrections"] = [correction_document(g.correction)]
     document["not_fitted"] = dict(g.refused)

@@ -18,6 +18,7 @@ from calib.images.detection.grid import seen
 from calib.images.intrinsics.by_mrcal import MrcalFits, fit_mrcal
 from calib.images.intrinsics.by_opencv import LENSES, fit_opencv
 from calib.images.intrinsics.covariance import view_scores
+from calib.images.intrinsics.flips import flipped_pictures, way_gate
 from calib.images.intrinsics.gates import (
     intrinsics_gates,
     intrinsics_warnings,
@@ -153,7 +154,7 @@ def calibrate_intrinsics(corners: Corners, board: Board, *, camera: str, seed: i
                 validation,
                 camera=camera,
                 repeated=repeated,
-                drawn=board.object_points(),
+                board=board,
             )
     except EstimationError as error:
         raise EstimationError(_diagnosis(corners, board, camera, error)) from error
@@ -281,9 +282,10 @@ def _assemble(
     *,
     camera: str,
     repeated: tuple[str, ...],
-    drawn: FloatArray,
+    board: Board,
 ) -> Intrinsics:
-    """Select a fit and judge it; `drawn` is the flat board, mm, shape (corners, 3)."""
+    """Select a fit and judge it."""
+    drawn = board.object_points()
     lens, mrcal = validation.chosen, backends.mrcal
     selected, worse = better(mrcal.fits.get(lens), backends.checked[lens])
     points = backends.points[lens]
@@ -296,6 +298,7 @@ def _assemble(
     at = nodes(inliers, corners.image_size)
     agreement, splined, others = _differences(enlarged, selected, backends, lens, at)
     unused = seen(corners.pixels).any(axis=-1) & ~_views_of(selected)
+    flipped = flipped_pictures(corners, board, backends.checked[lens], dispersion)
     left_out = views_left_out(corners.images, corners.pixels, selected.residuals)
     drawn_fit = backends.flat.get(lens)
     flat = (
@@ -330,7 +333,7 @@ def _assemble(
         validation=validation,
         model_files=mrcal.model_files,
         mrcal_version=None if mrcal.missing else mrcal.version,
-        gates=gates,
+        gates=(*gates, way_gate(camera, flipped, int(_views_of(selected).sum()))),
         warnings=(
             *picture_warnings(camera, corners, repeated, left_out.images),
             *repeats_warning(camera, corners.images, clusters),

@@ -32,6 +32,7 @@ EXAMPLES: Mapping[str, tuple[str, ...]] = {
     "calib capture gaze": ("calib capture gaze datasets/my-rig --count 20",),
     "calib capture validation": ("calib capture validation datasets/my-rig --count 10",),
     "calib gaze": ("calib gaze reports/my-rig/calibration.json --count 10 --out positions.csv",),
+    "calib live": ("calib live --rig rig.toml --dataset datasets/my-rig",),
     "calib length": ("calib length reports/my-rig/calibration.json --count 5",),
     "calib rig check": ("calib rig check rig.toml",),
     "calib simulate": (

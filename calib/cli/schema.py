@@ -7,13 +7,13 @@ import json
 import sys
 from typing import Any
 
-FILES = ("dataset", "calibration")
+FILES = ("dataset", "calibration", "rig")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     parser.add_argument(
-        "of", metavar="WHAT", choices=FILES, help="dataset.toml or calibration.json"
+        "of", metavar="WHAT", choices=FILES, help="dataset.toml, calibration.json or rig.toml"
     )
 
 
@@ -28,6 +28,10 @@ def _schema(file: str) -> dict[str, Any]:
         from calib.dataset.manifest import Manifest
 
         schema = Manifest.model_json_schema()
+    elif file == "rig":
+        from calib.rig.settings import rig_schema
+
+        schema = rig_schema()
     else:
         from calib.results.schema import Document
 

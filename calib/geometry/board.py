@@ -65,15 +65,19 @@ class Corners:
     pixels
         Shape (views, corners, 2), px, board order; NaN where a corner was not found.
     detector
-        What found each board: "cascade:classic", "cascade:sector", "charuco", "cache" or "none".
+        What found each board: "cascade:classic", "cascade:sector", "charuco", "cache" or "none";
+        with ":small-window" where marks inside squares disturb the usual window.
     image_size
         Width and height, px.
+    remarks
+        What the reader should know of how they were found.
     """
 
     images: tuple[str, ...]
     pixels: FloatArray
     detector: tuple[str, ...]
     image_size: tuple[int, int]
+    remarks: tuple[str, ...] = ()
 
     def select(self, images: tuple[str, ...]) -> Corners:
         """Return the views of the images named, in that order."""
@@ -84,6 +88,7 @@ class Corners:
             pixels=self.pixels[index],
             detector=tuple(self.detector[i] for i in index),
             image_size=self.image_size,
+            remarks=self.remarks,
         )
 
 

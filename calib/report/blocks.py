@@ -134,6 +134,16 @@ class Picture:
 
 
 @dataclass(frozen=True)
+class Scene:
+    """The rig to be turned and looked at; `data` is JSON of `calib.report.scene`."""
+
+    key: str
+    data: str
+    caption: Text
+    kind: Literal["scene"] = field(default="scene", init=False)
+
+
+@dataclass(frozen=True)
 class Thumbnail:
     """A small picture: data URI, name, what found its board."""
 
@@ -173,6 +183,7 @@ Block: TypeAlias = (
     | Command
     | Picture
     | PictureSheet
+    | Scene
     | Fold
 )
 

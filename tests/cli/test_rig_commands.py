@@ -8,43 +8,16 @@ from __future__ import annotations
 import csv
 import io
 import json
-import sys
+import signal
+import subprocess
+import time
 from functools import partial
-from pathlib import Path
 
 import command
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "reliability"))
-import short_chain
-
-RIG = """\
-format = 1
-serial = "rig-07"
-[cameras.c1]
-driver = "virtual"
-[cameras.c2]
-driver = "virtual"
-[axis]
-driver = "virtual"
-resolution_deg = 0.009
-step_deg = 0.05625
-full_step_deg = 0.9
-reads = "load encoder"
-[virtual]
-time = "simulated"
-baseline_mm = 200
-seed = 1
-"""
-
-CHECK = {
-    "kind": "calib rig check", "format": 1, "serial": "rig-07", "time": "2026-11-27T08:00:00Z",
-    "devices": {"c1": "c1", "c2": "c2", "axis": "axis"}, "reads": "load encoder",
-    "checks": [{"name": "frame age", "passed": True, "detail": "new"}], "direction": 1,
-    "step_deg": 0.05625, "step_ratio": None, "backlash_deg": 0.0, "backlash_steps": 0.0,
-    "settle_s": 0.0, "frame_age_ms": {"c1": 10.0, "c2": 10.0}, "repeatability_deg": 0.0002,
-    "u_reading_deg": 0.0027, "whole_steps": False, "u_alpha2_deg": 0.0027,
-}  # fmt: skip
+from tests.reliability import short_chain
+from tests.rig.checked_rig import CHECK, RIG
 
 
 @pytest.fixture
@@ -115,6 +88,38 @@ def test_from_capture_to_measured_depths(lab, call):
         assert abs(float(row["y_mm"]) - y) < 1.0
         assert 1 <= int(row["moves"]) <= 6
 
+    done = call(
+        "gaze", calibration, "--rig", "rig.toml", "--count", 4, "--follow", "--accept-failed"
+    )
+    assert done.status == 0, done.err
+    assert len({row["x_mm"] for row in rows(done.out)}) == 4
+    refused_rigs(call, lab, calibration)
+    interrupted(lab, calibration)
+
+
+def interrupted(lab, calibration):
+    """End a gaze by Ctrl-C: rows so far are kept, whole."""
+    (lab / "truth.jsonl").unlink()
+    arguments = ("gaze", calibration, "--rig", "rig.toml", "--count", "100000", "--accept-failed")
+    with subprocess.Popen(
+        [command.CALIB, *arguments, "--out", "live.csv"], stderr=subprocess.PIPE, text=True
+    ) as running:
+        deadline = time.monotonic() + 120
+        while time.monotonic() < deadline:
+            if (lab / "truth.jsonl").exists() and len(true_targets(lab)) > 3:
+                break
+            time.sleep(0.02)
+        running.send_signal(signal.SIGINT)
+        _, said = running.communicate(timeout=60)
+    assert running.returncode == 128 + signal.SIGINT, said
+    assert "Traceback" not in said
+    kept = rows((lab / "live.csv").read_text())
+    assert len(kept) >= 3
+    assert all(row["status"] == "ok" for row in kept)
+
+
+def refused_rigs(call, lab, calibration):
+    """Another rig, another size of pictures and another target are refused by name."""
     other = RIG.replace("rig-07", "rig-08")
     (lab / "other.toml").write_text(other)
     done = call("gaze", calibration, "--rig", "other.toml")

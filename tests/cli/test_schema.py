@@ -61,3 +61,13 @@ def test_datasets_are_as_their_schema_says(capsys: pytest.CaptureFixture[str]) -
     for change in ({"fromat": 1}, {"format": 3}, {"encoder": {"resolution": 1}}):
         with pytest.raises(jsonschema.ValidationError):
             jsonschema.validate(manifest | change, schema)
+
+
+def test_a_rig_is_as_its_schema_says(capsys: pytest.CaptureFixture[str]) -> None:
+    schema = schema_of("rig", capsys)
+    page = (PROJECT / "docs/rig.md").read_text()
+    rig = tomllib.loads(page.split("```toml\n")[1].split("```")[0])
+    jsonschema.validate(rig, schema)
+    for change in ({"serail": "7"}, {"format": 2}, {"axis": {"driver": "virtual"}}):
+        with pytest.raises(jsonschema.ValidationError):
+            jsonschema.validate(rig | change, schema)

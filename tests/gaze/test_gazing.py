@@ -5,21 +5,16 @@ Evidence: simulated truth, behind the protocols of devices.
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 from true_instrument import aiming, gazer, measuring
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "rig"))
-from virtual_rigs import OPEN_LOOP, virtual_rig
 
 from calib.gaze.following import Follower
 from calib.gaze.measured import position
 from calib.gaze.placing import set_swaying
 from calib.rig.protocols import Interrupted, Lost, Refused, RigError, Stalled
 from calib.rig.virtual.operator import Operator
+from tests.rig.virtual_rigs import OPEN_LOOP, virtual_rig
 
 U_LOAD_DEG = 0.009 / np.sqrt(12)
 

@@ -20,25 +20,7 @@ from calib.rig.check import check_rig
 from calib.rig.check_file import read_check
 from calib.rig.protocols import Frame
 from calib.rig.virtual.operator import Operator
-
-RIG = """\
-format = 1
-serial = "rig-07"
-[cameras.c1]
-driver = "virtual"
-[cameras.c2]
-driver = "virtual"
-[axis]
-driver = "virtual"
-resolution_deg = 0.009
-step_deg = 0.05625
-full_step_deg = 0.9
-reads = "load encoder"
-[virtual]
-time = "simulated"
-baseline_mm = 200
-seed = 3
-"""
+from tests.rig.checked_rig import RIG
 
 
 def checked(rig, **changed):

@@ -82,3 +82,10 @@ def test_the_embedded_rig_and_the_schema():
     schema = rig_schema()
     assert json.dumps(schema)
     assert {"format", "serial", "cameras", "axis"} <= set(schema["required"])
+
+
+def test_the_baseline_by_tape_measure_goes_before_that_of_the_virtual_rig():
+    rig = parse_settings(WHOLE.encode())
+    assert rig.nominal_baseline_mm == 150.0
+    stated = parse_settings(WHOLE.replace('"rig-07"', '"rig-07"\nbaseline_mm = -170').encode())
+    assert stated.nominal_baseline_mm == -170.0

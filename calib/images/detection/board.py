@@ -13,6 +13,7 @@ import numpy as np
 from calib.core.arrays import BoolArray, FloatArray
 from calib.geometry.board import Board
 from calib.images.detection.grid import canonical, irregular, seen, smooth_grid, spacing, squares
+from calib.images.detection.marks import small_windows
 from calib.images.detection.picture import Grey
 
 SEARCH_SIDE_PX = 640
@@ -59,11 +60,14 @@ class Found:
         As in `calib.geometry.board.Corners`.
     goes_on
         Whether the chessboard has more squares than declared.
+    small
+        The corners by a small refinement window; None where the detector has none of its own.
     """
 
     pixels: FloatArray
     detector: str
     goes_on: bool = False
+    small: FloatArray | None = None
 
 
 def _missing(board: Board) -> Found:
@@ -90,7 +94,9 @@ def find_chessboard(grey: Grey, board: Board, *, detector: str = "cascade") -> F
         complete = np.where(np.isfinite(pixels), pixels, smooth_grid(pixels, board))
         verdict = squares(grey, complete, board)
         if verdict.is_board:
-            return Found(canonical(pixels, verdict, board), name, verdict.goes_on)
+            ordered = canonical(pixels, verdict, board)
+            small = refine(grey, ordered, board, small_windows) if refined else None
+            return Found(ordered, name, verdict.goes_on, small)
     return _missing(board)
 
 

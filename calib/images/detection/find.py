@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -16,6 +16,7 @@ from calib.core.errors import InputError, Problem
 from calib.geometry.board import Board, Corners
 from calib.images.detection.board import CHESSBOARD_DETECTORS, Found, find_chessboard, other_count
 from calib.images.detection.charuco import CharucoFinder
+from calib.images.detection.marks import marker_dictionary, window_pattern
 from calib.images.detection.picture import Grey, read_grey
 from calib.images.opencv import steady_opencv
 
@@ -96,6 +97,8 @@ def detect(
         found = {name: o.found for name, o in outcomes.items() if o.found is not None}
         read = {name: view for name, view in found.items() if name not in known}
         problems = problems or _wrong_count(root, read, board)
+        if not problems:
+            found, remarks = _undisturbed(root, found, board)
     if problems:
         raise InputError(problems)
     views = [found[name] for name in images]
@@ -105,7 +108,38 @@ def detect(
         pixels=np.stack([view.pixels for view in views]) if views else empty,
         detector=tuple(view.detector for view in views),
         image_size=image_size,
+        remarks=remarks,
     )
+
+
+def _undisturbed(
+    root: Path, found: dict[str, Found], board: Board
+) -> tuple[dict[str, Found], tuple[str, ...]]:
+    """Return boards by the small window where marks in squares disturb the large one, and words."""
+    both = {name: view for name, view in found.items() if view.small is not None}
+    small = [view.small for view in both.values() if view.small is not None]
+    pattern = window_pattern([view.pixels for view in both.values()], small, board)
+    if pattern is None or not pattern.disturbed:
+        return found, ()
+    changed = {
+        name: replace(view, pixels=pixels, detector=f"{view.detector}:small-window")
+        for (name, view), pixels in zip(both.items(), small, strict=True)
+    }
+    words = (
+        f"corners by refinement windows of two sizes differ by {pattern.px:.2f} px rms, and alike "
+        f"in all pictures ({pattern.ratio:.0f} times what chance explains): something inside the "
+        "squares pulls them, and the small window is used"
+    )
+    pictures = [read_grey(root / name, name=name) for name in list(both)[:2]]
+    dictionary = marker_dictionary(pictures, board)
+    if dictionary is None:
+        words += "; if the squares hold marks or dirt, use a board without"
+    else:
+        words += (
+            f"; the white squares hold ArUco markers of {dictionary}: declare the board as what it "
+            'is, type = "charuco" with dictionary and marker_mm in [board]'
+        )
+    return found | changed, (words,)
 
 
 class _Search:

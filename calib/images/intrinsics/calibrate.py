@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.core.arrays import BoolArray, FloatArray
+from calib.core.arrays import BoolArray, FloatArray, IntArray
 from calib.core.errors import EstimationError, InputError
 from calib.core.gate import Gate
 from calib.geometry.board import Board, Corners, LensFit
@@ -18,6 +18,7 @@ from calib.images.detection.grid import seen
 from calib.images.intrinsics.by_mrcal import MrcalFits, fit_mrcal
 from calib.images.intrinsics.by_opencv import LENSES, fit_opencv
 from calib.images.intrinsics.covariance import view_scores
+from calib.images.intrinsics.flips import flipped_pictures, way_gate
 from calib.images.intrinsics.gates import (
     intrinsics_gates,
     intrinsics_warnings,
@@ -42,6 +43,7 @@ from calib.images.intrinsics.validate import CrossValidation, cross_validate
 from calib.images.mrcal.solves import MIN_CORNERS, focal_start
 from calib.images.opencv import steady_opencv
 from calib.images.pairs import single_view_pose
+from calib.images.repeats import repeat_clusters, repeats_warning
 
 MIN_VIEWS = 6
 """Views needed: three leave nine or more intrinsics without a check, and cross-validation wants to
@@ -152,7 +154,7 @@ def calibrate_intrinsics(corners: Corners, board: Board, *, camera: str, seed: i
                 validation,
                 camera=camera,
                 repeated=repeated,
-                drawn=board.object_points(),
+                board=board,
             )
     except EstimationError as error:
         raise EstimationError(_diagnosis(corners, board, camera, error)) from error
@@ -280,20 +282,23 @@ def _assemble(
     *,
     camera: str,
     repeated: tuple[str, ...],
-    drawn: FloatArray,
+    board: Board,
 ) -> Intrinsics:
-    """Select a fit and judge it; `drawn` is the flat board, mm, shape (corners, 3)."""
+    """Select a fit and judge it."""
+    drawn = board.object_points()
     lens, mrcal = validation.chosen, backends.mrcal
     selected, worse = better(mrcal.fits.get(lens), backends.checked[lens])
     points = backends.points[lens]
     scores = view_scores(selected.camera, selected.poses, selected.residuals, points)
-    dispersion = scores.dispersion()
+    clusters = repeat_clusters(corners.pixels, drawn)
+    dispersion = scores.dispersion(clusters[_views_of(selected)])
     enlarged = replace(selected, covariance=selected.covariance * dispersion)
     inliers = np.where(np.isfinite(selected.residuals), corners.pixels, np.nan)
     coverage = measure_coverage(inliers, corners.image_size)
     at = nodes(inliers, corners.image_size)
     agreement, splined, others = _differences(enlarged, selected, backends, lens, at)
     unused = seen(corners.pixels).any(axis=-1) & ~_views_of(selected)
+    flipped = flipped_pictures(corners, board, backends.checked[lens], dispersion)
     left_out = views_left_out(corners.images, corners.pixels, selected.residuals)
     drawn_fit = backends.flat.get(lens)
     flat = (
@@ -315,7 +320,9 @@ def _assemble(
         selected=enlarged,
         covariance=enlarged.covariance,
         dispersion=dispersion,
-        alternatives=tuple(_enlarged(fit, drawn) for fit in backends.all if fit is not selected),
+        alternatives=tuple(
+            _enlarged(fit, drawn, clusters) for fit in backends.all if fit is not selected
+        ),
         selection=_selection(selected, validation, backends),
         images=corners.images,
         rejected_views=tuple(corners.images[i] for i in np.flatnonzero(unused)),
@@ -326,9 +333,10 @@ def _assemble(
         validation=validation,
         model_files=mrcal.model_files,
         mrcal_version=None if mrcal.missing else mrcal.version,
-        gates=gates,
+        gates=(*gates, way_gate(camera, flipped, int(_views_of(selected).sum()))),
         warnings=(
             *picture_warnings(camera, corners, repeated, left_out.images),
+            *repeats_warning(camera, corners.images, clusters),
             *backend_warnings(camera, mrcal),
             *([f"{camera}: {worse}"] if worse else []),
             *intrinsics_warnings(camera, gates, dispersion=dispersion, splined=splined),
@@ -337,16 +345,19 @@ def _assemble(
     )
 
 
-def _enlarged(fit: LensFit, drawn: FloatArray) -> LensFit:
+def _enlarged(fit: LensFit, drawn: FloatArray, clusters: IntArray) -> LensFit:
     """Return a fit with the covariance that its views bear out.
 
     Parameters
     ----------
     drawn
         Corners of the flat board, mm, shape (corners, 3).
+    clusters
+        Of each view, shape (views,).
     """
     points = deformed(drawn, fit.board_warp_mm)
-    factor = view_scores(fit.camera, fit.poses, fit.residuals, points).dispersion()
+    scores = view_scores(fit.camera, fit.poses, fit.residuals, points)
+    factor = scores.dispersion(clusters[_views_of(fit)])
     return replace(fit, covariance=fit.covariance * factor)
 
 

@@ -6,12 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.core.arrays import FloatArray
+from calib.core.arrays import FloatArray, IntArray
 from calib.core.errors import EstimationError
 from calib.geometry.camera import Camera
 from calib.geometry.poses import transform, transformed_by_pose
 from calib.images.bundle import inverse, project_points, proven
 from calib.images.detection.grid import seen
+from calib.images.repeats import summed
 
 OPEN = 1e-10
 """Share of the greatest information, unknowns scaled, below which a direction counts as open: its
@@ -68,7 +69,7 @@ class ViewScores:
         """
         return inverse(self.normals.sum(axis=0)) * self.variance
 
-    def dispersion(self) -> float:
+    def dispersion(self, clusters: IntArray | None = None) -> float:
         """Return the variance that views show over that which independent corner noise explains.
 
         The sum over views of s' N^-1 s (s the score, N the normal matrix of all views), over its
@@ -78,19 +79,28 @@ class ViewScores:
         1 on independent noise, more where errors are common to a view: a board that is not quite
         flat, a detector's bias with the light, blur; less where neighbouring corners err against
         each other, as far as the views prove it (`calib.images.bundle.proven`).
+
+        Parameters
+        ----------
+        clusters
+            Of each view in use, shape (views,): views that count as one; each its own by default.
         """
+        normals, scores = self.normals, self.scores
+        if clusters is not None:
+            clusters = np.unique(clusters, return_inverse=True)[1]
+            normals, scores = summed(normals, clusters), summed(scores, clusters)
         normal = self.normals.sum(axis=0)
         scale = np.sqrt(np.diag(normal))
         value, vector = np.linalg.eigh(normal / np.outer(scale, scale))
         # Directions that the views leave open hold no score to be judged.
         shown = value > OPEN * value[-1]
         root = vector[:, shown] / np.sqrt(value[shown]) / scale[:, None]
-        share = root.T @ self.normals @ root
+        share = root.T @ normals @ root
         alike = float((share**2).sum())
         expected = float(shown.sum()) - alike
         if expected <= OPEN:  # one view alone
             return 1.0
-        found = float(((self.scores @ root) ** 2).sum())
+        found = float(((scores @ root) ** 2).sum())
         return proven(found / (self.variance * expected), freedom=expected**2 / alike)
 
 

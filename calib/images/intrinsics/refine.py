@@ -54,7 +54,7 @@ def refine(found: Intrinsics, lens: RefinedLens, corners: Corners) -> Intrinsics
         agreement=None,
         left_out=views_left_out(lens.images, pixels, fit.residuals),
     )
-    before = found.selected
+    before, kept = found.selected, (f"{found.name}-backends", f"{found.name}-way-up")
     return replace(
         found,
         selected=fit,
@@ -68,7 +68,7 @@ def refine(found: Intrinsics, lens: RefinedLens, corners: Corners) -> Intrinsics
         coverage=coverage,
         uncertainty=map_uncertainty(fit, at),
         differences=(*found.differences, compare(fit, rays_of(before, at), at)),
-        gates=(*gates, *(g for g in found.gates if g.name == f"{found.name}-backends")),
+        gates=(*gates, *(g for g in found.gates if g.name in kept)),
         purposes=dict(Counter(lens.kinds)),
     )
 

@@ -20,6 +20,7 @@ import numpy as np
 from calib.core.arrays import FloatArray, IntArray
 from calib.core.errors import EstimationError
 from calib.images.bundle import DONE, MAX_STEPS, inverse, proven
+from calib.images.repeats import summed
 
 _FIRST_DAMPING = 1e-4
 _MAX_DAMPING = 1e12
@@ -113,11 +114,11 @@ def minimise_views(evaluate: Callable[[Unknowns], ViewNormals], start: Unknowns)
     )
 
 
-def dispersion(reduced: Reduced, columns: IntArray) -> float:
+def dispersion(reduced: Reduced, columns: IntArray, clusters: IntArray) -> float:
     """Return how much more views contradict each other than independent noise explains.
 
     In the shared unknowns `columns`, the others eliminated; as `calib.images.bundle.dispersion`,
-    for the rows of `reduced` as clusters. Directions that the views leave open are left out.
+    with the cluster of each view. Directions that the views leave open are left out.
     """
     matrix = reduced.normals.sum(axis=0)
     others = np.setdiff1d(np.arange(len(matrix)), columns)
@@ -131,8 +132,9 @@ def dispersion(reduced: Reduced, columns: IntArray) -> float:
     shown = value > OPEN * value[-1]
     root = own.T @ (vector[:, shown] / np.sqrt(value[shown]) / scale[:, None])
     spread = reduced.spread()
-    found = float(((reduced.scores @ root) ** 2).sum())
-    share = root.T @ (reduced.normals - reduced.normals @ spread @ reduced.normals) @ root
+    scores, normals = summed(reduced.scores, clusters), summed(reduced.normals, clusters)
+    found = float(((scores @ root) ** 2).sum())
+    share = root.T @ (normals - normals @ spread @ normals) @ root
     expected = float(np.trace(share, axis1=-2, axis2=-1).sum())
     square = float((share**2).sum())
     if expected <= OPEN:

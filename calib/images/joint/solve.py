@@ -26,6 +26,7 @@ from calib.images.joint.reduced import (
     minimise_views,
 )
 from calib.images.mrcal.solves import MIN_CORNERS
+from calib.images.repeats import repeat_clusters
 
 HUBER_SIGMAS = 3.0
 """While outliers are looked for, a corner farther off than this pulls no harder: a picture that
@@ -70,6 +71,8 @@ class JointSolve:
         Of the shared unknowns, with the factors, shape (n, n).
     factors
         On the variances of the intrinsics of C1, of C2 (1 where given) and of the pose of C2.
+    clusters
+        Cluster of each view, shape (v,): views that nearly repeat each other.
     sigma_px
         Standard deviation of a corner coordinate by camera ("c1", "c2") and kind of image.
     residuals
@@ -85,6 +88,7 @@ class JointSolve:
     board_warp_mm: tuple[float, float]
     covariance: FloatArray
     factors: tuple[float, float, float]
+    clusters: IntArray
     sigma_px: dict[str, float]
     residuals: FloatArray
     rejected: BoolArray
@@ -229,6 +233,20 @@ def _without_outliers(residuals: FloatArray, used: BoolArray, groups: IntArray) 
     return kept
 
 
+def _clusters(problem: JointProblem) -> IntArray:
+    """Return the cluster of each view, shape (v,): views that repeat each other in a camera."""
+    images = problem.images
+    leader = np.arange(images.views)
+    for c in (0, 1):
+        own = np.flatnonzero(images.camera == c)
+        clusters = repeat_clusters(images.pixels[own], problem.points)
+        for k in np.unique(clusters):
+            members = leader[images.view[own[clusters == k]]]
+            leader[np.isin(leader, members)] = members.min()
+    found: IntArray = np.unique(leader, return_inverse=True)[1].astype(np.int64)
+    return found
+
+
 def _result(
     problem: JointProblem,
     reduced: Reduced,
@@ -238,7 +256,8 @@ def _result(
 ) -> JointSolve:
     x, spread = reduced.at.shared, reduced.spread()
     blocks = (problem.at_lens(0), problem.at_lens(1), problem.at_pose)
-    factors = tuple(dispersion(reduced, b) if len(b) else 1.0 for b in blocks)
+    clusters = _clusters(problem)
+    factors = tuple(dispersion(reduced, b, clusters) if len(b) else 1.0 for b in blocks)
     scale = np.ones(problem.size)
     for block, factor in zip(blocks, factors, strict=True):
         scale[block] = np.sqrt(factor)
@@ -251,6 +270,7 @@ def _result(
         board_warp_mm=(bow_x, bow_y),
         covariance=spread * np.outer(scale, scale),
         factors=(factors[0], factors[1], factors[2]),
+        clusters=clusters,
         sigma_px={name: float(s) for name, s in sigma_px.items()},
         residuals=np.where(used[..., None], residuals, np.nan),
         rejected=finite(problem.images.pixels) & ~used,

@@ -8,6 +8,7 @@ from calib.core.arrays import FloatArray
 from calib.core.gate import Gate
 from calib.geometry.board import Board
 from calib.images.checks import gate
+from calib.images.joint.changes import FocalChange
 from calib.images.pairs import PairStart
 from calib.images.stereo.solve import StereoSolve
 from calib.images.stereo.triangulate import Targets, midpoints
@@ -18,6 +19,10 @@ AGREEMENT_CHI2 = 22.5
 DEPTH_AGREEMENT = 0.003
 """Relative difference in depth by which backends may differ, however uncertain they say they are:
 active gazing itself is good to 1 to 8 % (Xu and Wang, Table 2)."""
+
+FOCAL_CHANGE, FOCAL_SIGMAS = 0.001, 3.3
+"""Relative change of a focal length between pictures that may be: depth inherits it. And what it
+must be of its uncertainty: 1 in 1,000 by chance, with some six looked at in a run."""
 
 DEPTH_STD_LIMIT = 0.02
 """Relative standard uncertainty beyond which a depth is no reference: active gazing itself is good
@@ -87,6 +92,42 @@ def intrinsics_gate(held: StereoSolve, alone: StereoSolve) -> Gate:
         f"with intrinsics from the pairs alone the pose differs by {difference(held, alone)} from "
         f"that with intrinsics from their own pictures, chi2 {chi2:.1f} of 6",
         remedy="the pairs contradict the intrinsics: was a lens refocused or moved in between?",
+    )
+
+
+def lens_gates(changes: tuple[FocalChange, ...]) -> tuple[Gate, ...]:
+    """Gates on the focal length of each camera being the same in all its pictures.
+
+    Pairs tie both cameras together, so that a change of one shows in the other, too, but less: of
+    two, the one with the larger change in standard uncertainties fails.
+    """
+    worst = max((abs(c.change) / c.std for c in changes), default=0.0)
+    gates = []
+    for camera in dict.fromkeys(change.camera for change in changes):
+        own = [change for change in changes if change.camera == camera]
+        bad = [c for c in own if abs(c.change) > max(FOCAL_CHANGE, FOCAL_SIGMAS * c.std)]
+        told = "; ".join(_change_words(change) for change in bad or own)
+        gates.append(
+            gate(
+                f"{camera}-one-lens",
+                not bad or max(abs(c.change) / c.std for c in bad) < worst,
+                f"{told} (limit {100 * FOCAL_CHANGE:g} % and {FOCAL_SIGMAS:g} u)",
+                remedy="a lens that changes with focus or distance cannot be one camera: switch "
+                "autofocus off, fix focus, zoom and crop, and take the lens pictures at the "
+                "distances and in the state of the rows",
+            )
+        )
+    return tuple(gates)
+
+
+def _change_words(change: FocalChange) -> str:
+    if change.between == "distance":
+        where = "between the farthest and the nearest board"
+    else:
+        where = f"in the pictures of {change.between}s against the others"
+    return (
+        f"focal length of {change.camera.upper()} {100 * change.change:+.3f} % +- "
+        f"{100 * change.std:.3f} % {where}"
     )
 
 

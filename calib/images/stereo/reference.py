@@ -18,6 +18,7 @@ from calib.geometry.board import Board, Corners
 from calib.geometry.poses import pose_matrix, pose_vector, rotation
 from calib.images.bundle import finite
 from calib.images.checks import fit_gate
+from calib.images.joint.changes import focal_changes
 from calib.images.joint.gather import Extra
 from calib.images.joint.lens import RefinedLens, refined_lenses
 from calib.images.joint.solve import JointSolve
@@ -31,7 +32,13 @@ from calib.images.stereo.backends import (
     solve_mrcal_jointly,
     solve_pairs_alone,
 )
-from calib.images.stereo.gates import agreement_gate, intrinsics_gate, pairs_gate, target_gates
+from calib.images.stereo.gates import (
+    agreement_gate,
+    intrinsics_gate,
+    lens_gates,
+    pairs_gate,
+    target_gates,
+)
 from calib.images.stereo.solve import (
     CameraPair,
     StereoSolve,
@@ -154,6 +161,7 @@ def stereo_reference(
         gates.append(
             Gate("stereo-joint", False, f"no joint solve of lenses and pairs: {open_lens}")
         )
+    changes = () if joint is None else focal_changes(joint)
     others, backend_gates = _checks(record, joint, start, corners, board, rig, seed)
     used = tuple(stems[i] for i in start.pairs)
     targets = find_targets(
@@ -183,7 +191,7 @@ def stereo_reference(
         covariance=record.covariance,
         solves=(record, *others),
         targets=targets,
-        gates=(fit, *gates, *backend_gates),
+        gates=(fit, *gates, *backend_gates, *lens_gates(changes)),
         lenses=() if joint is None else refined_lenses(joint),
     )
 

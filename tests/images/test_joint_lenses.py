@@ -14,6 +14,7 @@ from calib.core.arrays import FloatArray
 from calib.geometry.board import Corners
 from calib.geometry.camera import Camera, camera_from_vector, intrinsic_vector
 from calib.images.bundle import deformed
+from calib.images.joint.changes import focal_changes
 from calib.images.joint.gather import Extra, gather
 from calib.images.joint.lens import refined_lenses
 from calib.images.joint.model import JointProblem, normals_of, residuals_of
@@ -21,6 +22,7 @@ from calib.images.joint.reduced import Unknowns
 from calib.images.joint.solve import JointSolve, solve_joint
 from calib.images.pairs import start_pairs
 from calib.images.stereo.backends import as_stereo, solve_held, solve_mrcal_jointly
+from calib.images.stereo.gates import lens_gates
 from calib.images.stereo.reference import stereo_reference
 from calib.images.stereo.solve import CameraPair
 
@@ -131,7 +133,7 @@ def test_jacobian_is_that_of_central_differences(scene: Scene) -> None:
 def test_covariance_holds_over_repetitions(scene: Scene) -> None:
     """Simulated truth: lenses, pose of C2 and bow, two noise levels, 25 draws."""
     rng = np.random.default_rng(3)
-    squares, pulls = [], []
+    squares, pulls, changes = [], [], []
     for _ in range(25):
         joint = solve_joint(*posed(scene, rng))
         error = joint.reduced.at.shared - truth()
@@ -139,11 +141,14 @@ def test_covariance_holds_over_repetitions(scene: Scene) -> None:
         pulls.append(error / std)
         pose = joint.problem.at_pose
         spread = joint.covariance[np.ix_(pose, pose)]
+        changes += [c.change / c.std for c in focal_changes(joint)]
         squares.append(error[pose] @ np.linalg.solve(spread, error[pose]) / 6)
     # Chi squared with 150 degrees of freedom over that number: standard deviation 0.115.
     assert 0.7 < np.mean(squares) < 1.4
     # Of 26 unknowns in 25 draws; parameters of a lens hang together.
     assert 0.85 < np.sqrt(np.mean(np.square(pulls))) < 1.15
+    assert len(changes) == 25 * 6
+    assert 0.8 < np.sqrt(np.mean(np.square(changes))) < 1.2
     assert joint.sigma_px["c1 lens"] == pytest.approx(SIGMA_PX, rel=0.05)
     assert joint.sigma_px["c2 pair"] == pytest.approx(0.05, rel=0.1)
 
@@ -260,3 +265,35 @@ def test_a_lens_refocused_before_the_pairs_is_named() -> None:
     reference = reference_of(Scene(1, rows=2), 9, refocused=1.02)
     failed = {g.name: g.detail for g in reference.gates if not g.passed}
     assert "refocused" in failed["stereo-intrinsics"]
+    assert "switch autofocus off" in failed["c1-one-lens"]
+    assert "c2-one-lens" not in failed
+
+
+def test_breathing_of_a_lens_is_found_and_measured() -> None:
+    """Simulated truth: C1 sees near boards larger, by 0.6 % over the distances that occur."""
+    scene = Scene(3, pairs=10, lens=14, rows=8)
+    rng = np.random.default_rng(10)
+    middle = scenes.C1.matrix[:2, 2]
+
+    def breathe(found: Corners) -> Corners:
+        pixels = found.pixels.copy()
+        for i, view in enumerate(pixels):
+            size = np.sqrt(np.nanmean((view - np.nanmean(view, axis=0)) ** 2))
+            pixels[i] = middle + (1 + 0.006 * size / 120) * (view - middle)
+        return replace(found, pixels=pixels)
+
+    pairs, extra = scene.noisy(rng)
+    pairs = breathe(pairs[0]), pairs[1]
+    extra = Extra(breathe(extra[0].lens), breathe(extra[0].rows)), extra[1]
+    cameras = (scenes.C1, scenes.C2)
+    start = start_pairs(pairs, scenes.BOARD, cameras=cameras)
+    joint = solve_joint(*gather(start, pairs, extra, scenes.BOARD, cameras=cameras, free=BOTH))
+    found = {(c.camera, c.between): c for c in focal_changes(joint)}
+    own = found["c1", "distance"]
+    assert own.change / own.std > 5
+    assert 0.002 < own.change < 0.01
+    # Pairs tie the cameras together: C2 seems to change the other way, but less surely.
+    other = found["c2", "distance"]
+    assert abs(other.change) / other.std < own.change / own.std
+    passed = {g.name: g.passed for g in lens_gates(tuple(found.values()))}
+    assert passed == {"c1-one-lens": False, "c2-one-lens": True}

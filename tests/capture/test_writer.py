@@ -1,0 +1,48 @@
+"""The growing folder. Evidence: property."""
+
+from __future__ import annotations
+
+import csv
+import json
+
+import numpy as np
+import pytest
+
+from calib.capture.writer import growing
+from calib.core.errors import InputError, UsageError
+
+
+def test_what_a_killed_capture_left_is_cleared_and_its_journal_ended(tmp_path):
+    with growing(tmp_path / "mine") as folder:
+        folder.note("row", id="g01")
+        folder.picture("gaze/c1/g01.png", np.zeros((4, 6), np.uint8))
+    journal = tmp_path / "mine" / "session.jsonl"
+    journal.write_text(journal.read_text() + '{"event": "ro')
+    left = tmp_path / "mine" / "gaze" / "c1" / ".g02.png.0123.part"
+    left.write_bytes(b"half")
+    with growing(tmp_path / "mine") as folder:
+        assert not left.exists()
+        folder.note("row", id="g02")
+        assert [entry["id"] for entry in folder.events("row")] == ["g01", "g02"]
+    assert all(json.loads(line) for line in journal.read_text().splitlines())
+
+
+def test_a_journal_of_one_torn_line_is_emptied(tmp_path):
+    with growing(tmp_path / "mine"):
+        (tmp_path / "mine" / "session.jsonl").write_text('{"event"')
+    with growing(tmp_path / "mine") as folder:
+        assert folder.events("row") == []
+        folder.note("start")
+    assert (tmp_path / "mine" / "session.jsonl").read_text() == '{"event": "start"}\n'
+
+
+def test_rows_of_other_columns_and_a_second_capture_are_refused(tmp_path):
+    with growing(tmp_path / "mine") as folder:
+        folder.add_row("gaze.csv", ["id", "z_mm"], {"id": "a,b", "z_mm": "1"})
+        folder.add_row("gaze.csv", ["id", "z_mm"], {"id": "2", "z_mm": "3"})
+        with pytest.raises(InputError, match="has the columns id, z_mm; the capture writes id"):
+            folder.add_row("gaze.csv", ["id"], {"id": "4"})
+        with pytest.raises(UsageError, match="another capture is writing"), growing(folder.root):
+            pass
+    with (tmp_path / "mine" / "gaze.csv").open() as file:
+        assert [row["id"] for row in csv.DictReader(file)] == ["a,b", "2"]

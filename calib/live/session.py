@@ -182,6 +182,7 @@ class Session:
                 "serial": rig.serial,
                 "virtual": rig.world is not None,
                 "board": bench.board is not None,
+                "u_alpha2_deg": given.settings.axis.u_alpha2_deg,
                 "devices": [rig.c1.identity, rig.c2.identity, axis.identity],
                 "range_deg": [math.degrees(end) for end in axis.range_rad],
                 "dataset": str(given.places.dataset),

@@ -19,8 +19,11 @@ INTERVAL_S: Final = 0.1
 SHARE: Final = 0.5
 """A stream rests for at least its own work divided by this: measuring goes before looking."""
 
-IDLE_S: Final = 2.0
-"""Without a page that asks for so long no more pictures are made."""
+REST_MAX_S: Final = 1.0
+
+IDLE_S: Final = 5.0
+"""A camera that has nothing new is looked at for so long after the last page has asked; pages that
+wait ask again meanwhile."""
 
 SAME_S: Final = 0.25
 QUALITY: Final = 80
@@ -115,15 +118,20 @@ class Stream:
         return max(0.0, (self._clock.now_ns() - shown.exposed_ns) / 1e6)
 
     def _run(self) -> None:
-        while not self._closing.is_set():
-            if time.monotonic() - self._asked_at > IDLE_S:
-                self._asked.clear()
-                self._asked.wait()
-                continue
+        while True:
+            self._asked.wait()
+            if self._closing.is_set():
+                return
+            # Cleared before the picture is taken: who asks from now on wants the one after it.
+            self._asked.clear()
             began = time.monotonic()
             is_new = self._next()
-            worked = time.monotonic() - began
-            self._closing.wait(max(INTERVAL_S if is_new else SAME_S, worked / SHARE) - worked)
+            ended = time.monotonic()
+            if not is_new and ended - self._asked_at < IDLE_S:
+                self._asked.set()
+            worked = ended - began
+            rest = max(INTERVAL_S if is_new else SAME_S, worked / SHARE) - worked
+            self._closing.wait(min(rest, REST_MAX_S))
 
     def _next(self) -> bool:
         """Make the next picture; return whether it is another one."""

@@ -9,6 +9,7 @@ const query = token ? `?token=${encodeURIComponent(token)}` : "";
 let fileQuery = query; // a page of this machine needs none, and the report none of its business
 const CAMERAS = ["c1", "c2"];
 const AGAIN_MS = 1000;
+const AGAIN_PICTURE_MS = 2000;
 
 let socket = null;
 let shownDocument = "";
@@ -182,7 +183,7 @@ function enable(state, page) {
   const ready = owner && !state.job && !state.waiting.length;
   $("stop").disabled = !page.may_command;
   $("check").disabled = !(ready && state.rig && state.rig.board);
-  $("capture").disabled = !(ready && state.check);
+  $("capture").disabled = !(ready && (state.check || state.rig.u_alpha2_deg !== null));
   $("calibrate").disabled = !(ready && state.rows && state.rows.gaze > 0);
   $("gaze").disabled = !(owner && state.calibration);
   $("length").disabled = !(owner && state.calibration);
@@ -208,6 +209,8 @@ $("question").onsubmit = (event) => {
 document.addEventListener("keydown", (event) => {
   if (event.key === "Escape") send({ do: "stop" });
 });
+// A picture that never came is asked for again: asking twice is asking once.
+setInterval(() => { if (!document.hidden) CAMERAS.forEach((camera) => send({ do: "picture", camera })); }, AGAIN_PICTURE_MS);
 // A page that is left must not keep the motor until the connection is found dead.
 addEventListener("pagehide", () => { if (socket) { socket.onclose = null; socket.close(); } });
 $("csv").href += query;

@@ -90,7 +90,7 @@ GROUPS: tuple[tuple[str, tuple[Command, ...]], ...] = (
             Command("capture", capture, "rows of the rig into a dataset"),
             Command("gaze", gaze, "turn C2 to targets and measure their positions"),
             Command("length", length, "the distance of two points, each gazed at: plates too"),
-            Command("live", live, "all of this as a page in the browser"),
+            Command("live", live, "the rig as a page in the browser: check to length"),
             Command("rig", rig, "is the rig fit to be calibrated and measured with?"),
         ),
     ),

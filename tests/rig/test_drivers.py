@@ -475,8 +475,6 @@ def test_a_signal_stops_the_motor_before_anything_else(number, tmp_path):
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
         text=True,
-        # Where this runs under nohup, a hang-up would be ignored from the start.
-        preexec_fn=lambda: signal.signal(number, signal.SIG_DFL),
     ) as program:
         assert program.stdout.readline() == "moving\n"
         program.send_signal(number)

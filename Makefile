@@ -31,6 +31,7 @@ check: setup ## list every problem of DATA
 	@$(BIN)/calib check "$(DATA)"
 
 live: setup ## the rig as a page in the browser; without rig.toml a virtual one: ARGS='--rig rig.toml'
+	@tools/setup_web.sh
 	@$(BIN)/calib live $(ARGS)
 
 datasets/demo: setup ## a rendered rig with images, sweep, gaze and validation rows

@@ -156,12 +156,13 @@ def _run_show(arguments: argparse.Namespace) -> int:
     from calib.history.summary import ACCEPTED, notes, show
 
     if arguments.rig is None:
-        rows = [[rig, str(number), last] for rig, number, last in rigs(arguments.index)]
+        rows = [[harmless(rig), str(number), last] for rig, number, last in rigs(arguments.index)]
         sys.stdout.write(text([("Rigs", [["rig", "calibrations", "last"], *rows])]))
         return 0
     accepted = arguments.accepted or ACCEPTED
     entries = history(arguments.index, arguments.rig)
-    title = f"{arguments.rig}: {len(entries)} calibrations, {entries[0].date} to {entries[-1].date}"
+    dates = f"{entries[0].date} to {entries[-1].date}"
+    title = f"{harmless(arguments.rig)}: {len(entries)} calibrations, {dates}"
     sys.stdout.write(text([(title, show(entries, accepted=accepted))]))
     for note in notes(entries, accepted=accepted):
         print(f"note: {note}")
@@ -215,6 +216,8 @@ def _run_page(arguments: argparse.Namespace) -> int:
     from calib.stages.store import write_bytes
 
     asked = {"accepted": arguments.accepted or ACCEPTED, "tolerance_mm": arguments.tolerance}
+    if arguments.rig is not None:
+        history(arguments.index, arguments.rig)
     fleet = [history(arguments.index, rig) for rig, _, _ in rigs(arguments.index)]
     arguments.out.mkdir(parents=True, exist_ok=True)
     for entries in fleet:

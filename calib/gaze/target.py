@@ -101,7 +101,7 @@ rendered pictures of 640 x 480 px, 60 poses a kind, tilted up to 30 degrees: tag
 px 0.034, 0.022 and 0.020 px; crosses with arms of 24 and 40 px 0.021 and 0.023; discs of 12 and 24
 px 0.024 and 0.054."""
 
-CORNER_FLOOR: Final = (0.008, 0.28, 0.9)
+CORNER_FLOOR: Final = (0.008, 0.26, 1.2)
 """The same of chessboard corners, the root of the sum of squares of a constant, px, a part that
 falls with the side of a square, px times px, and one with its square. Rendered,
 100 poses each: squares of 6, 8, 12, 18, 28, 36 px 0.054, 0.038, 0.024, 0.018, 0.013, 0.011."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from calib.history.charts import UNCERTAINTY_RISK, charts, reference, scatter_test
 from calib.history.due import LONGEST, Due, next_due
-from calib.history.index import Entry
+from calib.history.entry import Entry
 from calib.history.quantities import Series, series
 
 ACCEPTED = 3
@@ -54,6 +54,14 @@ def notes(entries: Sequence[Entry], *, accepted: int = ACCEPTED) -> list[str]:
     found = []
     if len(entries) <= accepted:
         found.append(f"{len(entries)} of {accepted} calibrations at acceptance: no chart yet")
+    days = len({e.date for e in entries})
+    if days < len(entries):
+        found.append(
+            f"{len(entries)} calibrations on {days} days: if these are the days of computing, "
+            "state date under [certificate] in each dataset.toml"
+        )
+    if _day(entries[-1].date) > date.today():
+        found.append(f"the last calibration is dated in the future: {entries[-1].date}")
     models = sorted({e.model for e in entries})
     if len(models) > 1:
         found.append(
@@ -81,7 +89,9 @@ def due(
     ]
     first, where = min(found, key=lambda pair: (pair[0].interval, -(pair[0].risk or 0)))
     # Whole days, rounded down: the date is not to be later than what was computed.
-    return _day(list(by_day)[-1]) + timedelta(days=int(first.interval)), first, where
+    latest = _day(list(by_day)[-1])
+    left = (date.max - latest).days
+    return latest + timedelta(days=min(int(first.interval), left)), first, where
 
 
 def due_text(found: tuple[date, Due, Series]) -> list[str]:

@@ -83,10 +83,13 @@ class Pages:
     ----------
     session
         The rig.
+    access
+        Who may ask what.
     """
 
-    def __init__(self, session: Session) -> None:
+    def __init__(self, session: Session, access: Access) -> None:
         self._session = session
+        self._access = access
         self._pages: set[Page] = set()
         self._owner: Page | None = None
         self._changes = 0
@@ -189,6 +192,7 @@ class Pages:
             "may_command": page.may_command,
             "owned": self._owner is not None,
             "pages": len(self._pages),
+            "local": self._access.is_local,
         }
         await page.socket.send_text(json.dumps({"state": state, "page": mine}, allow_nan=False))
 
@@ -220,7 +224,7 @@ def picture_message(camera: str, shown: Shown, age_ms: float) -> bytes:
 
 def make_app(session: Session, access: Access) -> ASGIApp:
     """Return the application that serves a session."""
-    pages = Pages(session)
+    pages = Pages(session, access)
     listening: list[bool] = []
 
     async def index(_: Request) -> Response:

@@ -17,7 +17,7 @@ from calib.gaze.table import header
 from calib.gaze.target import Target
 from calib.live import jobs
 from calib.live.bench import Bench, Places, with_axis
-from calib.live.commands import DRIVING, Answer, Job, Mark
+from calib.live.commands import DRIVING, Answer, Capture, Gaze, Job, Length, Mark
 from calib.live.guarded import GuardedAxis
 from calib.live.record import Record
 from calib.live.scene import heading
@@ -106,8 +106,11 @@ class Session:
         Raises
         ------
         UsageError
-            If too many wait already.
+            If too many wait already, or its target is none.
         """
+        for name in _targets(job):
+            if self._bench is not None:
+                self._bench.target(name)
         with self._wake:
             if len(self._waiting) >= WAITING_MAX:
                 raise UsageError(f"{WAITING_MAX} jobs wait already")
@@ -248,6 +251,8 @@ class Session:
                 return None
             self._job = self._waiting.popleft()
             self._bench.axis.allow()
+            for name in _targets(self._job)[:1]:
+                self._mark = self._bench.target(name)
             self.record.put(
                 job={"name": jobs.title(self._job), "step": "", "done": None, "of": None}
             )
@@ -256,3 +261,12 @@ class Session:
 
     def _publish_waiting(self) -> None:
         self.record.put(waiting=[jobs.title(job) for job in self._waiting])
+
+
+def _targets(job: Job) -> tuple[str, ...]:
+    """Return the names of the targets of a job, the one to be marked first."""
+    if isinstance(job, Length):
+        return job.start, job.end
+    if isinstance(job, Capture | Gaze):
+        return (job.target,)
+    return ()

@@ -5,12 +5,15 @@ Evidence: simulated truth, which only this test reads: where C2 stands is what t
 
 from __future__ import annotations
 
+import csv
 import json
 import shutil
+import sys
 import time
+from pathlib import Path
 
 import pytest
-from live_server import live
+from live_server import live, settings
 from playwright.sync_api import sync_playwright
 from websockets.sync.client import connect
 
@@ -150,3 +153,66 @@ def test_a_watcher_that_leaves_stops_nothing(served, page_of):
     assert served.record.get("job") is not None
     page.click("#stop")
     served.idle(seconds=10)
+
+
+def wait_idle(page):
+    page.wait_for_selector('body[data-job=""]')
+
+
+def clicked(page, button):
+    """Click and wait until the job is done."""
+    page.wait_for_selector(f"#{button}:enabled")
+    page.click(f"#{button}")
+    page.wait_for_selector('body:not([data-job=""])')
+    wait_idle(page)
+
+
+CALIB = """\
+import sys, warnings
+sys.path.insert(0, {folder!r})
+import short_chain
+short_chain.shorten(setattr)
+warnings.simplefilter("ignore")
+from calib.cli.main import main
+sys.exit(main())
+"""
+
+
+def test_from_an_empty_folder_to_measured_depths_by_clicks_alone(tmp_path, monkeypatch, page_of):
+    monkeypatch.chdir(tmp_path)
+    folder = Path(__file__).parents[1] / "reliability"
+    (tmp_path / "short.py").write_text(CALIB.format(folder=str(folder)))
+    program = (sys.executable, str(tmp_path / "short.py"))
+    with live(tmp_path, rig=settings(time="simulated"), calib=program) as server:
+        page = page_of(server.url, color_scheme="dark", viewport={"width": 400, "height": 800})
+        assert page.evaluate("document.documentElement.scrollWidth") <= 400
+        assert page.is_disabled("#capture")
+        clicked(page, "check")
+        assert "fit" in page.inner_text("#check-text")
+        page.fill("#rows", "12")
+        clicked(page, "capture")
+        assert page.inner_text("#capture-text").startswith("12 rows")
+        clicked(page, "calibrate")
+        result = json.loads((server.session.places.run / "calibration.json").read_text())
+        assert result["rig"]["serial"] == "virtual-1"
+        world = server.session._bench.rig.world
+        true = []
+        for _ in range(5):
+            clicked(page, "gaze")
+            true.append(world.target(world.clock.now_ns()))
+        clicked(page, "length")
+        assert page.evaluate("document.documentElement.scrollWidth") <= 400
+        page.wait_for_selector("#documents:not([hidden])")
+        page.frame_locator("#document").locator("body").first.wait_for()
+        with page.expect_download() as download:
+            page.click("#csv")
+        rows = list(csv.DictReader(download.value.path().read_text().splitlines()))
+    assert [row["id"] for row in rows] == ["t01", "t02", "t03", "t04", "t05"]
+    for row, (x, y, z) in zip(rows, true, strict=True):
+        assert abs(float(row["z_mm"]) - z) < 4 * float(row["u_z_mm"])
+        assert abs(float(row["x_mm"]) - x) < 2.0
+        assert abs(float(row["y_mm"]) - y) < 2.0
+        assert float(row["z_low95_mm"]) < float(row["z_mm"]) < float(row["z_high95_mm"])
+    lengths = server.record.get("lengths")
+    assert lengths[0]["from"] == "plate:left-upper"
+    assert abs(lengths[0]["length_mm"] - 1400) < 4 * lengths[0]["u_mm"]

@@ -6,6 +6,7 @@ import { fillLengths, fillPositions } from "./tables.js";
 const $ = (id) => document.getElementById(id);
 const token = new URLSearchParams(location.search).get("token") || "";
 const query = token ? `?token=${encodeURIComponent(token)}` : "";
+let fileQuery = query; // a page of this machine needs none, and the report none of its business
 const CAMERAS = ["c1", "c2"];
 const AGAIN_MS = 1000;
 
@@ -43,6 +44,7 @@ function heard(message) {
   $("serial").textContent = state.rig ? state.rig.serial : "";
   $("reading").textContent =
     state.turning ? "turning …" : state.reading_deg === undefined ? "–" : `${state.reading_deg.toFixed(4)}°`;
+  fileQuery = page.local ? "" : query;
   showRole(page);
   showJob(state);
   showSteps(state);
@@ -153,7 +155,7 @@ function showDocuments(files) {
   }));
   $("downloads").replaceChildren(...files.filter((f) => !PAGES.includes(f.name)).map((file) => {
     const link = document.createElement("a");
-    link.href = `run/${file.name}${query}`;
+    link.href = `run/${file.name}${fileQuery}`;
     link.textContent = file.title;
     link.download = file.name;
     return link;
@@ -164,7 +166,7 @@ function showDocuments(files) {
 function openDocument(file, pages) {
   shownDocument = file.name;
   $("document").title = file.title;
-  $("document").src = `run/${file.name}${query}${query ? "&" : "?"}at=${file.at}`;
+  $("document").src = `run/${file.name}${fileQuery}${fileQuery ? "&" : "?"}at=${file.at}`;
   pages.forEach((page, i) => {
     $("tabs").children[i].setAttribute("aria-selected", String(page === file));
   });

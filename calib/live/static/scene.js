@@ -16,7 +16,9 @@ export function drawScene(svg, state) {
   const scale = magnification(found, view);
   found.forEach((one) => parts.push(...target(one, scale, view, one === last)));
   (state.lengths || []).filter((one) => one.ends_mm).slice(-1).forEach((one) => parts.push(gauge(one, view)));
-  svg.replaceChildren(...parts);
+  const clip = make("clipPath", { id: "inside" });
+  clip.append(make("rect", { x: 0, y: view.y(view.far), width: WIDTH, height: HEIGHT }));
+  svg.replaceChildren(clip, ...parts);
   svg.dataset.text = found.length
     ? `95 % ellipses of x and z, drawn ${scale} times as large; the last ${found.length} targets`
     : "fields of view; grid in mm";
@@ -56,7 +58,7 @@ function grid(view) {
 
 function wedge(view, kind, from, rays) {
   const points = [from, ...rays].map(([x, z]) => `${view.x(x).toFixed(1)},${view.y(z).toFixed(1)}`);
-  return make("polygon", { class: `field ${kind}`, points: points.join(" ") });
+  return make("polygon", { class: `field ${kind}`, points: points.join(" "), "clip-path": "url(#inside)" });
 }
 
 function cameras(scene, heading, view) {
@@ -66,7 +68,8 @@ function cameras(scene, heading, view) {
   if (heading) {
     const [gx, gz] = heading;
     // A slope s of C2's picture is a turn by atan(s), to the right seen from behind.
-    const ends = scene.field_c2.map((s) => [ax + far * (gx + s * gz), az + far * (gz - s * gx)]);
+    const long = 3 * far; // as far as the edge of the drawing, whichever way C2 looks
+    const ends = scene.field_c2.map((s) => [ax + long * (gx + s * gz), az + long * (gz - s * gx)]);
     parts.push(wedge(view, "c2", [ax, az], ends));
     parts.push(make("line", { class: "ray c2", x1: view.x(ax), y1: view.y(az),
       x2: view.x(ax + far * gx), y2: view.y(az + far * gz) }));

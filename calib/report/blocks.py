@@ -145,12 +145,12 @@ class Scene:
 
 @dataclass(frozen=True)
 class Thumbnail:
-    """A small picture: data URI, name, what found its board."""
+    """A small picture: data URI, name, what found its board; `fault`, if any, frames it."""
 
     image: str
     name: str
     detector: str
-    mark: str = ""
+    fault: str = ""
 
 
 @dataclass(frozen=True)

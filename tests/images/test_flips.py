@@ -31,7 +31,7 @@ def drawn(seed: int, sigma_px: float) -> Corners:
 
 def named(corners: Corners) -> dict[str, str]:
     fit = fit_opencv(corners, scenes.BOARD, lens="plumb-bob")
-    return flipped_pictures(corners, scenes.BOARD, fit, 1.0)
+    return flipped_pictures(corners, scenes.BOARD, fit, points=POINTS, factor=1.0)
 
 
 def test_pictures_turned_by_half_a_turn_are_named() -> None:

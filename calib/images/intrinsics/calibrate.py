@@ -298,7 +298,13 @@ def _assemble(
     at = nodes(inliers, corners.image_size)
     agreement, splined, others = _differences(enlarged, selected, backends, lens, at)
     unused = seen(corners.pixels).any(axis=-1) & ~_views_of(selected)
-    flipped = flipped_pictures(corners, board, backends.checked[lens], dispersion)
+    flipped = flipped_pictures(
+        corners,
+        board,
+        backends.checked[lens],
+        points=backends.points[lens],
+        factor=dispersion,
+    )
     left_out = views_left_out(corners.images, corners.pixels, selected.residuals)
     drawn_fit = backends.flat.get(lens)
     flat = (

@@ -43,13 +43,17 @@ _ROUNDS = 5
 _WAYS = ("as it is", "turned by 180 deg", "mirrored left to right", "mirrored top to bottom")
 
 
-def flipped_pictures(corners: Corners, board: Board, fit: LensFit, factor: float) -> dict[str, str]:
+def flipped_pictures(
+    corners: Corners, board: Board, fit: LensFit, *, points: FloatArray, factor: float
+) -> dict[str, str]:
     """Return the pictures that fit the others' lens only turned or mirrored, with the way.
 
     Parameters
     ----------
     fit
-        Of all pictures as they are, by OpenCV's solver or another.
+        Of all pictures as they are.
+    points
+        Corners in the board's frame, mm, shape (corners, 3), as the fit took them.
     factor
         Variance that views show over that of independent corner noise.
     """
@@ -59,9 +63,11 @@ def flipped_pictures(corners: Corners, board: Board, fit: LensFit, factor: float
     ways = np.zeros(len(used), dtype=np.int64)
     lens = next(name for name, k in LENSES.items() if k == len(fit.camera.distortion))
     current = fit
+    every = range(len(_WAYS))
+    put = [_put(corners, board, used, np.full(len(used), way)) for way in every]
     gains, errors = np.zeros((2, len(used), len(_WAYS)))
     for _ in range(_ROUNDS):
-        gains, errors = _gains(current, corners, board, used, views, factor)
+        gains, errors = _gains(current, put, points, views, factor)
         best = gains.argmax(axis=-1)
         # While nothing is known each picture need only lean to one side.
         chosen = np.where(gains.max(axis=-1) > SUSPECT_GAIN, best, 0)
@@ -69,8 +75,8 @@ def flipped_pictures(corners: Corners, board: Board, fit: LensFit, factor: float
             break
         ways = chosen
         try:
-            put = _put(corners, board, used, ways)
-            current = fit_opencv(put, board, lens=lens, start=fit.camera)
+            now = _put(corners, board, used, ways)
+            current = fit_opencv(now, board, lens=lens, points=points, start=fit.camera)
         except EstimationError:
             return {}
     fitted = errors[np.arange(len(ways)), ways]
@@ -82,26 +88,20 @@ def flipped_pictures(corners: Corners, board: Board, fit: LensFit, factor: float
 
 
 def _gains(
-    fit: LensFit,
-    corners: Corners,
-    board: Board,
-    used: BoolArray,
-    views: IntArray,
-    factor: float,
+    fit: LensFit, put: list[Corners], points: FloatArray, views: IntArray, factor: float
 ) -> tuple[FloatArray, FloatArray]:
     """Return how much better each view fits in each way than as it is, and its rms, px.
 
-    Both of shape (views, ways).
+    Both of shape (views, ways); `put` holds the views in each way.
     """
-    points = board.object_points()
-    squares, errors = np.zeros((2, len(used), len(_WAYS)))
-    for way in range(len(_WAYS)):
-        put = _put(corners, board, used, np.full(len(used), way))
+    squares, errors = np.zeros((2, len(put[0].pixels), len(put)))
+    for way, corners in enumerate(put):
         for i in views:
-            rms = single_view_pose(fit.camera, points=points, pixels=put.pixels[i])[1]
-            errors[i, way] = rms
-            squares[i, way] = rms**2 * 2 * int(finite(put.pixels[i]).sum())
-    redundancy = max(2 * int(used[views].sum()) - POSE * len(views), 1)
+            view = corners.pixels[i]
+            errors[i, way] = single_view_pose(fit.camera, points=points, pixels=view)[1]
+            squares[i, way] = errors[i, way] ** 2 * 2 * int(finite(view).sum())
+    coordinates = 2 * int(finite(put[0].pixels[views]).sum())
+    redundancy = max(coordinates - POSE * len(views), 1)
     variance = max(float(squares[views].min(axis=-1).sum()) / redundancy, LEAST_SIGMA_PX**2)
     return (squares[:, :1] - squares) / (variance * max(factor, 1.0)), errors
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from calib.live.access import Access
 from calib.live.bench import Places
-from calib.live.serve import address, listen, make_server
+from calib.live.serve import Server, address, listen, make_server
 from calib.live.session import THIS_PROGRAM, Given, Session
 from calib.rig.settings import RigSettings, embedded
 
@@ -24,6 +24,7 @@ class Live:
     access: Access
     port: int
     url: str
+    server: Server
 
     @property
     def record(self):
@@ -74,7 +75,7 @@ def live(
         thread.start()
         try:
             port = listening.getsockname()[1]
-            yield Live(session, access, port, address(listening, access))
+            yield Live(session, access, port, address(listening, access), server)
         finally:
             server.should_exit = True
             thread.join(30)

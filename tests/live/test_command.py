@@ -6,19 +6,26 @@ Evidence: property.
 from __future__ import annotations
 
 import importlib.util
+import json
 import os
 import re
 import signal
 import socket
 import subprocess
 import sys
+import time
 import urllib.request
+from contextlib import suppress
 from importlib.metadata import requires
 from pathlib import Path
 
+from live_server import live
 from packaging.requirements import Requirement
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import connect
 
 from calib.cli.main import main
+from calib.live.commands import Check
 
 PROJECT = Path(__file__).parents[2]
 CALIB = Path(sys.executable).with_name("calib")
@@ -52,7 +59,29 @@ def test_a_calibration_that_is_none_ends_the_command(tmp_path, monkeypatch, caps
     assert "calibration.json" in capsys.readouterr().err
 
 
-def test_ctrl_c_ends_it(tmp_path):
+def turning(socket):
+    """Wait until the page's state says that C2 turns."""
+    while True:
+        heard = json.loads(socket.recv(timeout=60))
+        if heard.get("state", {}).get("turning"):
+            return
+
+
+def test_a_signal_stops_the_motor_before_the_server_ends(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with live(tmp_path) as server:
+        server.session.submit(Check(do="check"))
+        server.turning()
+        server.server.handle_exit(signal.SIGINT, None)
+        assert server.server.should_exit
+        assert server.session._bench.axis.is_stopped
+        time.sleep(0.5)
+        where = server.true_yaw()
+        time.sleep(0.3)
+        assert server.true_yaw() == where
+
+
+def test_ctrl_c_in_a_move_ends_it(tmp_path):
     process = subprocess.Popen(
         [CALIB, "live", "--port", "0"],
         cwd=tmp_path,
@@ -67,7 +96,13 @@ def test_ctrl_c_ends_it(tmp_path):
         assert address is not None, line
         with urllib.request.urlopen(address[1]) as answer:  # noqa: S310 - http, as matched
             assert b"<title>calib live</title>" in answer.read()
-        process.send_signal(signal.SIGINT)
+        with connect(address[1].replace("http", "ws").replace("/?", "/ws?")) as socket:
+            socket.send('{"do": "check"}')
+            turning(socket)
+            process.send_signal(signal.SIGINT)
+            with suppress(ConnectionClosed):
+                while True:
+                    socket.recv(timeout=60)
         _, error = process.communicate(timeout=60)
     finally:
         process.kill()

@@ -6,9 +6,11 @@ Evidence: simulated truth, which only this test reads: where C2 stands is what t
 from __future__ import annotations
 
 import csv
+import http.server
 import json
 import shutil
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -155,6 +157,46 @@ def test_a_watcher_that_leaves_stops_nothing(served, page_of):
     served.idle(seconds=10)
 
 
+class Foreign(http.server.BaseHTTPRequestHandler):
+    """A site of somebody else."""
+
+    def do_GET(self):
+        self.send_response(200)
+        self.send_header("Content-Type", "text/html")
+        self.end_headers()
+        self.wfile.write(b"<!doctype html><title>foreign</title>")
+
+    def log_message(self, *_):
+        pass
+
+
+COMMAND = """address => new Promise((resolve) => {
+  const socket = new WebSocket(address);
+  socket.onopen = () => { socket.send('{"do": "check"}'); resolve("open"); };
+  socket.onerror = () => resolve("refused");
+})"""
+
+
+def test_a_foreign_page_in_the_same_browser_moves_nothing(served, browser):
+    before = served.true_yaw()
+    address = f"ws://127.0.0.1:{served.port}/ws?token={served.access.token}"
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), Foreign) as foreign:
+        threading.Thread(target=foreign.serve_forever).start()
+        page = browser.new_page()
+        try:
+            page.goto(f"http://127.0.0.1:{foreign.server_port}/")
+            # Even if it had the token.
+            assert page.evaluate(COMMAND, address) == "refused"
+            assert served.record.get("job") is None
+            assert served.true_yaw() == before
+            # The same words from the page itself are obeyed.
+            page.goto(served.url)
+            assert page.evaluate(COMMAND, address) == "open"
+        finally:
+            page.close()
+            foreign.shutdown()
+
+
 def wait_idle(page):
     page.wait_for_selector('body[data-job=""]')
 
@@ -178,6 +220,7 @@ sys.exit(main())
 """
 
 
+@pytest.mark.slow
 def test_from_an_empty_folder_to_measured_depths_by_clicks_alone(tmp_path, monkeypatch, page_of):
     monkeypatch.chdir(tmp_path)
     folder = Path(__file__).parents[1] / "reliability"

@@ -14,6 +14,8 @@ from calib.core.errors import UsageError
 from calib.live.bench import Places
 from calib.live.commands import Calibrate, Check
 from calib.live.guarded import GuardedAxis
+from calib.live.hand import PageHand
+from calib.live.record import Record
 from calib.live.session import WAITING_MAX, Given, Session
 from calib.rig.protocols import Interrupted
 
@@ -109,3 +111,57 @@ def test_a_job_that_cannot_be_done_says_why_and_the_next_one_is_done(session):
     lines = [line for line in state["log"] if "Calibrate" in line["text"]]
     assert lines[0]["kind"] == "bad"
     assert "dataset.toml" in lines[0]["text"]
+
+
+def asked(hand, work):
+    """Let the hand ask in a thread of its own; return the thread and what came of it."""
+    came = []
+
+    def run():
+        try:
+            came.append(work(hand))
+        except Interrupted as error:
+            came.append(error)
+
+    thread = threading.Thread(target=run)
+    thread.start()
+    return thread, came
+
+
+def question(record):
+    for _ in range(500):
+        if (found := record.get("question")) is not None:
+            return found
+        threading.Event().wait(0.01)
+    raise AssertionError("nothing was asked")
+
+
+def test_an_operator_is_asked_until_there_is_a_depth():
+    record = Record()
+    thread, came = asked(PageHand(record, lambda: None), lambda hand: hand.depth_mm("g01"))
+    for wrong in ("", "far", "-3", "inf"):
+        assert question(record) == {"text": "g01: its depth in mm", "kind": "number"}
+        record.answer(wrong)
+    while len(record.snapshot()[1]["log"]) < 4:
+        threading.Event().wait(0.01)
+    question(record)
+    record.answer("1200.5")
+    thread.join(5)
+    assert came == [(1200.5, None)]
+
+
+def test_stop_withdraws_a_question_and_comes_before_the_next():
+    record = Record()
+    thread, came = asked(PageHand(record, lambda: None), lambda hand: hand.place("g01"))
+    question(record)
+    record.answer(None)
+    thread.join(5)
+    assert isinstance(came[0], Interrupted)
+    assert record.get("question") is None
+
+    def refuse():
+        raise Interrupted("stopped")
+
+    thread, came = asked(PageHand(record, refuse), lambda hand: hand.place("g01"))
+    thread.join(5)
+    assert isinstance(came[0], Interrupted)

@@ -20,7 +20,7 @@ from calib.core.errors import InputError
 from calib.history.index import history, rigs, update
 from calib.history.page import page_name
 from calib.history.quantities import series
-from calib.history.summary import due, notes, show
+from calib.history.summary import due, notes, show, since
 
 NAMES = ["baseline_mm", "delta2_rad", "axis_z_mm", "eccentricity_mm"]
 TRUTH = np.array([120.0, 0.01, -20.0, 3.0])

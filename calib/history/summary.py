@@ -7,6 +7,7 @@ from datetime import date, timedelta
 
 import numpy as np
 
+from calib.core.errors import InputError
 from calib.history.charts import UNCERTAINTY_RISK, charts, reference, scatter_test
 from calib.history.due import LONGEST, Due, next_due
 from calib.history.entry import Entry
@@ -71,14 +72,30 @@ def notes(entries: Sequence[Entry], *, accepted: int = ACCEPTED) -> list[str]:
     return found
 
 
-def due(
-    entries: Sequence[Entry], *, tolerance_mm: float, repaired: date | None = None
-) -> tuple[date, Due, Series] | None:
+def since(entries: Sequence[Entry], repaired: date | None) -> Sequence[Entry]:
+    """Return the calibrations that count: those before a repair are of another rig.
+
+    Raises
+    ------
+    InputError
+        If there are none.
+    """
+    kept = [e for e in entries if repaired is None or _day(e.date) >= repaired]
+    if not kept:
+        raise InputError.single(
+            where=entries[0].rig,
+            what=f"was not calibrated since it was repaired on {repaired}",
+            remedy="calibrate it, or give another --repaired",
+        )
+    return kept
+
+
+def due(entries: Sequence[Entry], *, tolerance_mm: float) -> tuple[date, Due, Series] | None:
     """Return the earliest due date over the depths charted; None if there is no interval yet.
 
-    Of calibrations on one day the last counts; those before a repair do not count.
+    Of calibrations on one day the last counts.
     """
-    by_day = {e.date: e for e in entries if repaired is None or _day(e.date) >= repaired}
+    by_day = {e.date: e for e in entries}
     if len(by_day) < 2:
         return None
     days = np.array([float(_day(text).toordinal()) for text in by_day])

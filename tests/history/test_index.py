@@ -16,10 +16,11 @@ import numpy as np
 import pytest
 
 from calib.cli.main import main
+from calib.core.errors import InputError
 from calib.history.index import history, rigs, update
 from calib.history.page import page_name
 from calib.history.quantities import series
-from calib.history.summary import due, notes, show
+from calib.history.summary import due, notes, show, since
 
 NAMES = ["baseline_mm", "delta2_rad", "axis_z_mm", "eccentricity_mm"]
 TRUTH = np.array([120.0, 0.01, -20.0, 3.0])
@@ -181,7 +182,11 @@ def test_due_counts_from_the_repair(tmp_path: Path) -> None:
     update(tmp_path / "i.sqlite", [fleet(tmp_path / "runs", of=1, each=8, step=0.02)])
     entries = history(tmp_path / "i.sqlite", "R000")
     drifting = due(entries, tolerance_mm=60.0)
-    repaired = due(entries, tolerance_mm=60.0, repaired=date.fromisoformat(entries[6].date))
+    kept = since(entries, date.fromisoformat(entries[6].date))
+    assert kept == entries[6:]
+    repaired = due(kept, tolerance_mm=60.0)
+    with pytest.raises(InputError, match="since it was repaired"):
+        since(entries, date(2030, 1, 1))
     assert drifting is not None
     assert repaired is not None
     assert drifting[1].interval < 90

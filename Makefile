@@ -5,7 +5,7 @@
 SHELL := /bin/bash
 .DELETE_ON_ERROR:
 .DEFAULT_GOAL := help
-.PHONY: help setup setup-dev calibrate check test test-slow lint format bench lock clean distclean
+.PHONY: help setup setup-dev calibrate check live test test-slow lint format bench lock clean distclean
 
 DATA ?=
 OUT ?= reports/$(notdir $(patsubst %/,%,$(DATA)))
@@ -29,6 +29,10 @@ calibrate: setup ## calibrate DATA, results in OUT
 check: setup ## list every problem of DATA
 	@$(if $(DATA),,echo "check what? make check DATA=datasets/xu-wang-2017" >&2; exit 2)
 	@$(BIN)/calib check "$(DATA)"
+
+live: setup ## the rig as a page in the browser; without rig.toml a virtual one: ARGS='--rig rig.toml'
+	@tools/setup_web.sh
+	@$(BIN)/calib live $(ARGS)
 
 datasets/demo: setup ## a rendered rig with images, sweep, gaze and validation rows
 	@$(BIN)/calib simulate $@ --seed 1 --images --set baseline_mm=120

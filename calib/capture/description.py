@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Literal
@@ -17,6 +18,7 @@ from calib.geometry.board import Board
 from calib.geometry.camera import Camera
 from calib.rig.devices import RigDevices
 from calib.rig.known import Role, known_board, known_lens
+from calib.rig.settings import AxisSection
 
 Kind = Literal["gaze", "validation"]
 
@@ -39,6 +41,8 @@ class Description:
         Of rig.toml, None without.
     resolution_deg, u_alpha2_deg
         A count of what is read and the standard uncertainty of a reading.
+    motor
+        What a manifest says of the readings besides.
     reference
         What the depths are.
     z_from_c1
@@ -52,6 +56,7 @@ class Description:
     board: Board | None
     resolution_deg: float
     u_alpha2_deg: float
+    motor: Mapping[str, Any]
     reference: str
     z_from_c1: bool
 
@@ -70,9 +75,16 @@ def describe(rig: RigDevices, *, u_alpha2_deg: float) -> Description:
         board=known_board(rig),
         resolution_deg=rig.settings.axis.resolution_deg,
         u_alpha2_deg=u_alpha2_deg,
+        motor=_motor(rig.settings.axis),
         reference="ruler, simulated" if is_virtual else "measured by hand",
         z_from_c1=is_virtual,
     )
+
+
+def _motor(axis: AxisSection) -> Mapping[str, Any]:
+    """Return what a manifest says of the readings beside their uncertainty."""
+    full = {} if axis.full_step_deg is None else {"full_step_deg": axis.full_step_deg}
+    return {"reads": axis.reads, **full}
 
 
 def read_manifest(folder: GrowingFolder) -> Manifest | None:
@@ -151,6 +163,7 @@ def _sections(known: Description, kind: Kind, table: str, *, name: str) -> dict[
         "encoder": {
             "resolution_deg": known.resolution_deg,
             "u_alpha2_deg": known.u_alpha2_deg,
+            **known.motor,
         },
         kind: rows,
     }

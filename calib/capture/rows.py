@@ -163,19 +163,15 @@ def _cells(
     reading = f"{math.degrees(row.standstill.reading_rad):.9f}"
     target = capture.gazer.target
     if isinstance(target, BoardCorner) and target.board == capture.known.board:
-        return {
-            "id": name,
-            "image_c1": pictures["c1"],
-            "alpha2_deg": reading,
-            "image_c2": pictures["c2"],
+        seen = {"image_c1": pictures["c1"], "image_c2": pictures["c2"]}
+    else:
+        seen = {
+            "u1_px": f"{row.pixel_c1[0]:.5f}",
+            "v1_px": f"{row.pixel_c1[1]:.5f}",
+            "u2_px": f"{row.pixel_c2[0]:.5f}",
         }
-    return {
-        "id": name,
-        "u1_px": f"{row.pixel_c1[0]:.5f}",
-        "v1_px": f"{row.pixel_c1[1]:.5f}",
-        "alpha2_deg": reading,
-        "u2_px": f"{row.pixel_c2[0]:.5f}",
-    }
+    stopped = {"alpha2_deg": reading, "approach": str(row.standstill.approached), "time": _now()}
+    return {"id": name} | seen | stopped
 
 
 def _note_start(capture: Capture) -> None:

@@ -13,6 +13,7 @@ from calib.chain.images import ImageStages, image_observations, image_stages
 from calib.chain.outputs import write_outputs
 from calib.chain.rows import gaze_rows, gaze_setup, validation_setup
 from calib.checks.encoder_direction import check_encoder_direction
+from calib.checks.prior_conflict import prior_warnings
 from calib.checks.stereo_pose import pose_warnings
 from calib.checks.verdict import all_gates, all_warnings, disagreements
 from calib.core.errors import InputError
@@ -29,6 +30,7 @@ from calib.fit.linear import fit_linear
 from calib.fit.posterior import Posterior, sample_posterior
 from calib.fit.priors import Priors
 from calib.fit.robust import RobustFit, fit_model
+from calib.fit.scale import scaled_defaults
 from calib.geometry.parameters import MODELS
 from calib.instrument.averaging import build_average
 from calib.instrument.calibrated import build_instrument, measure_validation, tabulate_depths
@@ -122,6 +124,7 @@ def calibrate(
                 *dataset.warnings,
                 *_combined(dataset, gaze),
                 *all_warnings(result, gaze),
+                *(() if gaze is None else prior_warnings(gaze, row_priors(dataset))),
                 *pose_warnings(dataset, result.stereo, gaze),
             ),
             rows=None if dataset.gaze is None else sketch(dataset.gaze, result.corners),
@@ -154,7 +157,8 @@ def _gaze_chain(
     With a mirror, all of it is that of the rig's mirror image, whose rows these then are.
     """
     run, is_left = store.run, mirror is not None
-    known = Priors(row_priors(dataset), images.measured())
+    defaults = scaled_defaults(rows.value)
+    known = Priors(defaults | row_priors(dataset), images.measured())
     priors = given("priors", mirror_priors(known) if is_left else known)
     rows, correction = _corrected(dataset, store, rows, priors, is_left=is_left)
     # fmt: off
@@ -185,6 +189,7 @@ def _gaze_chain(
         robust={name: robust[name].value for name, p in posterior.items() if p.failed is None},
         posterior={name: p.value for name, p in posterior.items() if p.failed is None},
         refused={name: s.failed for name, s in every.items() if s.failed is not None},
+        default_priors=defaults,
         correction=correction,
     )
     if not result.posterior:

@@ -293,7 +293,7 @@ def _sweep(
         alpha2_rad=np.array(table.alpha2_rad),
         placements=table.placements,
         resolution_rad=float(np.deg2rad(encoder.resolution_deg)),
-        u_alpha2_rad=float(np.deg2rad(encoder.u_alpha2_deg)),
+        u_alpha2_rad=float(np.deg2rad(encoder.further_u_deg)),
     )
     priors = {name: (prior.mean, prior.std) for name, prior in dataset.manifest.priors.items()}
     asked = SweepInput(table.image_c2, readings, priors)

@@ -7,9 +7,10 @@ from collections.abc import Mapping
 import numpy as np
 from scipy.stats import chi2
 
+from calib.checks.diagnosis import diagnosis_gate, diagnosis_warnings, structure_words
 from calib.core.arrays import FloatArray
 from calib.core.gate import Gate
-from calib.diagnosis.engine import Diagnosis
+from calib.diagnosis.structure import structured
 from calib.fit.chains import ESS_GOAL, R_HAT_LIMIT
 from calib.fit.group_check import GroupCheck
 from calib.fit.identifiability import Identifiability
@@ -124,7 +125,7 @@ def gaze_gates(gaze: GazeResult) -> tuple[Gate, ...]:
     if gaze.calibrated is not None and gaze.depths is not None:
         gates.append(_depth(gaze.calibrated, gaze.depths))
     if gaze.diagnosis is not None:
-        gates.append(_diagnosis(gaze.diagnosis))
+        gates.append(diagnosis_gate(gaze.diagnosis))
     return tuple(gates)
 
 
@@ -190,7 +191,11 @@ def _residuals(gaze: GazeResult, model: str) -> Gate:
     alone = len(gaze.robust) == 1
     limit = NOISE_SCALE_REMARK if alone else NOISE_SCALE_LIMIT
     passed = scale <= limit
-    if not passed and alone:
+    shown = None if gaze.diagnosis is None else structured(gaze.diagnosis.structure)
+    if passed and scale > NOISE_SCALE_REMARK and shown is not None:
+        passed = False
+        detail += f"; they have structure: {structure_words(shown)}; see the diagnosis"
+    elif not passed and alone:
         detail += (
             f" (limit {limit:g} where no other model could be fitted): add rows, which tell "
             "whether the model or a statement in dataset.toml is wrong"
@@ -228,19 +233,6 @@ def _depth(calibrated: CalibratedInstrument, depths: DepthTable) -> Gate:
     return Gate("depth", passed=passed, detail=detail)
 
 
-def _diagnosis(found: Diagnosis) -> Gate:
-    """Gate on mistakes that the rows show and that move depths."""
-    cause = found.left_out
-    if cause is None:
-        detail = "no mistake is known that explains the rows better and moves depths by their u"
-        return Gate("diagnosis", passed=True, detail=detail)
-    return Gate(
-        "diagnosis",
-        passed=False,
-        detail=f"{found.words(cause)}. It moves a depth by {cause.effect:.2g} u",
-    )
-
-
 def gaze_warnings(gaze: GazeResult) -> tuple[str, ...]:
     """Return what the reader should know of the gaze calibration."""
     found = []
@@ -271,14 +263,7 @@ def gaze_warnings(gaze: GazeResult) -> tuple[str, ...]:
         ]
     if gaze.groups is not None and gaze.groups.together:
         found.append(_together(gaze.groups))
-    if gaze.correction is not None:
-        found.append(f"the rows are corrected ([corrections]): {gaze.correction.text}")
-    if gaze.diagnosis is not None:
-        found += [
-            f"the rows show {gaze.diagnosis.words(cause)}"
-            for cause in gaze.diagnosis.causes[:1]
-            if cause is not gaze.diagnosis.left_out
-        ]
+    found += diagnosis_warnings(gaze.diagnosis, gaze.correction)
     if gaze.average is not None and gaze.depths is not None:
         told = doubt_of(gaze.average, gaze.depths)
         found += [] if told is None else [told]

@@ -14,6 +14,9 @@ from typing import Any
 
 from calib.stages.output_guard import RUN_FOLDER, OutputKind, guarded
 
+COMPLETE_FILES = {"bash": "_shtab_compgen_files", "zsh": "_files", "tcsh": "f"}
+"""What shtab puts into its scripts for a file or folder: its `shtab.FILE`."""
+
 STREAM = "-"
 """Stands for standard input where a command takes it."""
 
@@ -68,6 +71,7 @@ def _add(
     group: argparse._MutuallyExclusiveGroup | None = None,
 ) -> None:
     action = (group or parser).add_argument(*names, **settings)
+    action.complete = COMPLETE_FILES  # type: ignore[attr-defined] # by it shtab knows a path
     option = names[0] if names[0].startswith("-") else str(settings.get("metavar", names[0]))
     parser.set_defaults(path_roles=[*roles(parser), PathRole(option, action.dest, kind)])
 

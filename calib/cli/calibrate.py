@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from calib.cli.arguments import add_input, add_output, depth, natural, run_folder
+from calib.cli.voice import add_voice, print_json
 from calib.core.errors import UsageError, harmless
 from calib.stages.interruption import interrupt_on
 from calib.stages.output_guard import RUN_FOLDER
@@ -25,6 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_input(parser, "dataset", metavar="DATASET", help="folder with dataset.toml")
     add_output(parser, "--out", kind=RUN_FOLDER, metavar="DIR", help="default: reports/NAME")
     parser.add_argument("--seed", type=natural, default=0, metavar="N", help="default: 0")
+    add_voice(parser, json_help="print the result in short as JSON")
     parser.add_argument(
         "--depths", type=depth, nargs=2, metavar=("LOW", "HIGH"),
         help="range of the depth uncertainty table, mm; default: that of the rows",
@@ -33,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the chain and return the exit status: 3 if a gate failed."""
-    from calib.cli.console import summary
+    from calib.cli.console import faults_only, summary, summary_json
     from calib.dataset.load import load_dataset
     from calib.stages.manifest import finished_before, run_fingerprint
 
@@ -45,19 +47,25 @@ def run(arguments: argparse.Namespace) -> int:
     out = run_folder(arguments.out, dataset.root, force=arguments.force)
     settings = {"seed": arguments.seed, "depths_mm": depths}
     if finished_before(out, run_fingerprint(dataset.sha256, settings)):
-        print(f"{harmless(str(out))}: up to date, nothing has changed")
+        if not (arguments.quiet or arguments.json):
+            print(f"{harmless(str(out))}: up to date, nothing has changed")
     else:
-        _run_chain(dataset, out, settings)
-    text, passed = summary(out)
-    print(text)
+        _run_chain(dataset, out, settings, quiet=arguments.quiet)
+    if arguments.json:
+        document, passed = summary_json(out)
+        print_json(document)
+        return DONE if passed else GATE_FAILED
+    text, passed = faults_only(out) if arguments.quiet else summary(out)
+    if text:
+        print(text)
     return DONE if passed else GATE_FAILED
 
 
-def _run_chain(dataset: Dataset, out: Path, settings: dict[str, Any]) -> None:
+def _run_chain(dataset: Dataset, out: Path, settings: dict[str, Any], *, quiet: bool) -> None:
     from calib.chain.calibrate import Options, calibrate
     from calib.cli.console import Console
 
-    console = Console()
+    console = Console(quiet=quiet)
     try:
         calibrate(
             dataset,

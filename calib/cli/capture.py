@@ -5,19 +5,12 @@ from __future__ import annotations
 import argparse
 import sys
 from contextlib import ExitStack
-from typing import TYPE_CHECKING
 
 from calib.cli.arguments import add_output, depth, positive
 from calib.cli.gaze import add_target, make_gazer
-from calib.cli.rig_options import add_rig, check_path, last_check, opened
-from calib.core.errors import UsageError, harmless
+from calib.cli.rig_options import add_rig, opened
+from calib.core.errors import harmless
 from calib.stages.output_guard import OutputKind
-
-if TYPE_CHECKING:
-    from calib.capture.description import Description
-    from calib.dataset.manifest import Manifest
-    from calib.geometry.camera import Camera
-    from calib.rig.devices import RigDevices
 
 DONE, NOT_ALL = 0, 3
 
@@ -54,19 +47,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def _run(arguments: argparse.Namespace) -> int:
     """Capture and return the exit status: 3 if the rows did not come together."""
     from calib.capture.description import describe, read_manifest, refuse_other
+    from calib.capture.ready import lens_c2, reading_uncertainty
     from calib.capture.rows import Capture, capture_rows, targets_before
     from calib.capture.writer import growing
     from calib.gaze.placing import placing_for
 
     with ExitStack() as stack:
         rig = stack.enter_context(opened(arguments.rig))
-        known = describe(rig, u_alpha2_deg=_u_alpha2_deg(arguments, rig))
+        known = describe(rig, u_alpha2_deg=reading_uncertainty(rig, arguments.rig))
         folder = stack.enter_context(growing(arguments.dataset))
         manifest = read_manifest(folder)
         if manifest is not None:
             refuse_other(manifest, known)
         capture = Capture(
-            gazer=make_gazer(arguments, rig, _lens_c2(known, manifest)),
+            gazer=make_gazer(arguments, rig, lens_c2(known, manifest)),
             hand=placing_for(rig, _tell, done=targets_before(folder)),
             folder=folder,
             known=known,
@@ -80,44 +74,6 @@ def _run(arguments: argparse.Namespace) -> int:
         _tell(f"calib: {ended.refused} targets were refused, the last ones in a row: see above")
         return NOT_ALL
     return DONE
-
-
-def _u_alpha2_deg(arguments: argparse.Namespace, rig: RigDevices) -> float:
-    """Return the standard uncertainty of a reading, as the check of the rig found it."""
-    from calib.rig.protocols import RigError
-
-    check = last_check(arguments.rig, rig.serial)
-    if check is None:
-        stated = rig.settings.axis.u_alpha2_deg
-        if stated is not None:
-            return stated
-        raise UsageError(
-            f"{check_path(arguments.rig)}: is not there, and without it nobody knows how good a "
-            f"reading is; run `calib rig check{f' {arguments.rig}' if arguments.rig else ''}` first"
-        )
-    if check.failed:
-        details = "; ".join(f"{one.name}: {one.detail}" for one in check.failed)
-        raise RigError(f"{check_path(arguments.rig)}: the rig is not fit: {details}")
-    return check.u_alpha2_deg
-
-
-def _lens_c2(known: Description, manifest: Manifest | None) -> Camera:
-    """Return C2's lens, from rig.toml or the dataset: without it nothing can be centred."""
-    import numpy as np
-
-    from calib.geometry.camera import Camera
-
-    if "c2" in known.lenses:
-        return known.lenses["c2"]
-    section = None if manifest is None else manifest.camera("c2")
-    if section is not None and section.matrix is not None:
-        distortion = np.array(section.distortion or ())
-        return Camera(np.array(section.matrix), distortion, known.sizes["c2"])
-    raise UsageError(
-        "C2's lens is not known, so that targets cannot be centred; add matrix and distortion to "
-        "[cameras.c2] of rig.toml, from its pictures of a board (`calib calibrate` on a dataset "
-        "with [cameras.c2] images)"
-    )
 
 
 def _tell(line: str) -> None:

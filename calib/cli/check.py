@@ -5,11 +5,13 @@ from __future__ import annotations
 import argparse
 
 from calib.cli.arguments import add_input
+from calib.cli.voice import add_voice, print_json, warn
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     add_input(parser, "dataset", metavar="DATASET", help="folder with dataset.toml")
+    add_voice(parser, json_help="print problems, warnings and what was found as JSON")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -17,8 +19,6 @@ def run(arguments: argparse.Namespace) -> int:
     from calib.dataset.load import load_dataset
 
     dataset = load_dataset(arguments.dataset)
-    for warning in dataset.warnings:
-        print(f"warning: {warning}")
     parts = {
         "gaze rows": dataset.gaze,
         "validation rows": dataset.validation,
@@ -28,6 +28,20 @@ def run(arguments: argparse.Namespace) -> int:
         "images of C1": dataset.images.get("c1"),
         "images of C2": dataset.images.get("c2"),
     }
+    if arguments.json:
+        print_json(
+            {
+                "name": dataset.manifest.name,
+                "problems": [],
+                "warnings": dataset.warnings,
+                "found": {name: len(part) for name, part in parts.items() if part},
+            }
+        )
+        return 0
+    for warning in dataset.warnings:
+        warn(warning)
+    if arguments.quiet:
+        return 0
     found = ", ".join(f"{len(part)} {name}" for name, part in parts.items() if part)
     print(f"{dataset.manifest.name}: no problems; {found or 'no rows and no images'}")
     return 0

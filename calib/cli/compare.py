@@ -7,6 +7,7 @@ import sys
 
 from calib.cli.acceptance import DONE, GATE_FAILED, add_acceptance, warn_of_failed
 from calib.cli.arguments import add_input, add_output
+from calib.cli.voice import add_voice, print_json
 from calib.stages.output_guard import OutputKind
 
 PAGE = OutputKind(is_folder=False, marks=(b'content="calib compare"',))
@@ -21,13 +22,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     add_output(parser, "--out", kind=PAGE, metavar="HTML", help="page to write; default: none")
     add_acceptance(parser)
+    add_voice(parser, json_help="print runs and changes as JSON")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Print the comparison, write its page, return the exit status."""
     from calib.core.errors import UsageError
     from calib.history.drift import accepted, drifts
-    from calib.history.output import html, tables, text
+    from calib.history.output import document, html, tables, text, verdicts
     from calib.history.read import read_run
     from calib.stages.store import write_bytes
 
@@ -36,11 +38,16 @@ def run(arguments: argparse.Namespace) -> int:
     runs = [read_run(path, allow_edited=arguments.allow_edited) for path in arguments.runs]
     if arguments.accept_failed:
         runs = [accepted(run) for run in runs]
-    found = tables(runs, drifts(runs))
-    sys.stdout.write(text(found))
+    changes = drifts(runs)
+    found = tables(runs, changes)
+    if arguments.json:
+        print_json(document(runs, changes))
+    else:
+        sys.stdout.write(text(found) if not arguments.quiet else verdicts(changes))
     if arguments.out is not None:
         write_bytes(arguments.out, html(found).encode())
-        sys.stdout.write(f"\npage: {arguments.out}\n")
+        if not (arguments.json or arguments.quiet):
+            sys.stdout.write(f"\npage: {arguments.out}\n")
     minded = [
         warn_of_failed(path, run.measuring.failed_gates, accepted=False)
         for path, run in zip(arguments.runs, runs, strict=True)

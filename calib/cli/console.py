@@ -4,30 +4,82 @@ from __future__ import annotations
 
 import json
 import sys
+import threading
 from pathlib import Path
 from typing import Any
 
 from tqdm import tqdm
 
+from calib.cli.voice import painted
 from calib.core.errors import harmless
 from calib.uncertainty.format import interval
 
+HEARTBEAT_S = 0.5
+"""Between redraws of a terminal: whoever watches sees that the program is alive."""
+
+_CLOCK = "{desc}: {elapsed}"
+"""Of a stage that does not say how far it is."""
+
 
 class Console:
-    """Names each stage as it starts; a bar for each long one at work, on a terminal only."""
+    """Names each stage as it starts; a bar for each long one at work, on a terminal only.
 
-    def __init__(self) -> None:
+    Between the steps that stages tell of, and in those that tell of none, as solves by libraries
+    and work in other processes, a thread moves the bars.
+
+    Parameters
+    ----------
+    quiet
+        Whether to say nothing at all.
+    """
+
+    def __init__(self, *, quiet: bool = False) -> None:
+        self._quiet = quiet
         self._bars: dict[str, tqdm[Any]] = {}
+        self._last: str | None = None
+        self._lock = threading.Lock()
+        self._ended = threading.Event()
+        self._thread: threading.Thread | None = None
 
     def announce(self, name: str) -> None:
         """Say that a stage starts."""
-        self.close()
-        print(f"  {name}", file=sys.stderr, flush=True)
+        if self._quiet:
+            return
+        with self._lock:
+            self._clear()
+            print(f"  {name}", file=sys.stderr, flush=True)
+            self._last = name
+        if sys.stderr.isatty():
+            self._begin()
 
     def progress(self, name: str, done: int, expected: int) -> None:
         """Show how far a stage is."""
-        if not sys.stderr.isatty():
+        if self._quiet or not sys.stderr.isatty():
             return
+        with self._lock:
+            bar = self._bar(name)
+            bar.bar_format = None
+            bar.total = max(expected, done)
+            bar.n = done
+            bar.refresh()
+        self._begin()
+
+    def close(self) -> None:
+        """Take the bars away; those of stages still at work come back at their next step."""
+        thread, self._thread = self._thread, None
+        if thread is not None:
+            self._ended.set()
+            thread.join()
+            self._ended.clear()
+        with self._lock:
+            self._clear()
+            self._last = None
+
+    def _clear(self) -> None:
+        while self._bars:
+            self._bars.popitem()[1].close()
+
+    def _bar(self, name: str) -> tqdm[Any]:
         if name not in self._bars:
             self._bars[name] = tqdm(
                 desc=f"  {name}",
@@ -35,21 +87,73 @@ class Console:
                 leave=False,
                 unit="step",
                 position=len(self._bars),
+                bar_format=_CLOCK,
             )
-        bar = self._bars[name]
-        bar.total = max(expected, done)
-        bar.n = done
-        bar.refresh()
+        return self._bars[name]
 
-    def close(self) -> None:
-        """Take the bars away; those of stages still at work come back at their next step."""
-        while self._bars:
-            self._bars.popitem()[1].close()
+    def _begin(self) -> None:
+        """Start the thread that moves the bars, unless it is at work."""
+        if self._thread is None:
+            self._thread = threading.Thread(target=self._beat, daemon=True)
+            self._thread.start()
+
+    def _beat(self) -> None:
+        while not self._ended.wait(HEARTBEAT_S):
+            with self._lock:
+                if self._last is not None:
+                    self._bar(self._last)
+                for bar in self._bars.values():
+                    bar.refresh()
+
+
+def result_of(out: Path) -> dict[str, Any]:
+    """Return what calibration.json of a run says."""
+    found: dict[str, Any] = json.loads((out / "calibration.json").read_text(encoding="utf-8"))
+    return found
+
+
+def summary_json(out: Path) -> tuple[dict[str, Any], bool]:
+    """Return the end of a run for programs, and whether all gates passed."""
+    result = result_of(out)
+    failed = [gate for gate in result["gates"] if not gate["passed"]]
+    selected, parameters = result.get("selected"), {}
+    if selected is not None:
+        fit = result["fits"][f"{selected}/posterior"]
+        parameters = fit["parameters"] | fit.get("derived", {})
+    document = {
+        "out": str(out),
+        "dataset": result["dataset"],
+        "selected": selected,
+        "parameters": parameters,
+        "passed": not failed,
+        "failed_gates": failed,
+        "diagnosis": result.get("diagnosis", []),
+        "warnings": result.get("warnings", []),
+    }
+    return document, not failed
+
+
+def faults_only(out: Path) -> tuple[str, bool]:
+    """Return failed gates and warnings of a run, and whether all gates passed."""
+    result = result_of(out)
+    lines = _faults(result)
+    return "\n".join(lines), all(gate["passed"] for gate in result["gates"])
+
+
+def _faults(result: dict[str, Any]) -> list[str]:
+    failed = [gate for gate in result["gates"] if not gate["passed"]]
+    mark = painted("GATE FAILED", "red", sys.stdout)
+    warning = painted("warning", "yellow", sys.stdout)
+    return [
+        *(_cause(cause) for cause in result.get("diagnosis", [])),
+        *(f"{mark}  {gate['name']}: {gate['detail']}" for gate in failed),
+        *(f"{warning}: {text}" for text in result.get("warnings", [])),
+    ]
 
 
 def summary(out: Path) -> tuple[str, bool]:
     """Return the end of a run in a few lines, and whether all gates passed."""
-    result: dict[str, Any] = json.loads((out / "calibration.json").read_text(encoding="utf-8"))
+    result = result_of(out)
     lines = []
     selected = result.get("selected")
     if selected is not None:
@@ -66,12 +170,9 @@ def summary(out: Path) -> tuple[str, bool]:
                 )
                 figures += f" (95 %: {low} to {high})"
             lines.append(f"  {name:24s} {figures}{decided}")
-    failed = [gate for gate in result["gates"] if not gate["passed"]]
-    lines += [_cause(cause) for cause in result.get("diagnosis", [])]
-    lines += [f"GATE FAILED  {gate['name']}: {gate['detail']}" for gate in failed]
-    lines += [f"warning: {text}" for text in result.get("warnings", [])]
+    lines += _faults(result)
     lines.append(f"results in {harmless(str(out))}")
-    return "\n".join(lines), not failed
+    return "\n".join(lines), all(gate["passed"] for gate in result["gates"])
 
 
 def _cause(cause: dict[str, Any]) -> str:

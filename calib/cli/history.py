@@ -45,6 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = commands.add_parser("show", help="all rigs, or one rig's control charts as text")
     add.add_argument("rig", nargs="?", metavar="RIG", help="serial number; default: list the rigs")
     _accepted(add)
+    _repaired(add)
     _index(add)
     add.set_defaults(run=_run_show)
 
@@ -52,17 +53,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add.add_argument("rig", metavar="RIG", help="serial number")
     add_output(add, "--out", kind=CHART, required=True, metavar="SVG", help="file to write")
     _accepted(add)
+    _repaired(add)
     _index(add)
     add.set_defaults(run=_run_chart)
 
     add = commands.add_parser("page", help="pages of all rigs, and of each")
-    add.add_argument("--rig", metavar="RIG", help="write this rig's page alone, and that of all")
+    add.add_argument("--rig", metavar="RIG", help="write this rig's page alone")
     add_output(
         add, "--out", kind=PAGES, default=Path("reports/history"), metavar="DIR",
         help="default: reports/history",
     )  # fmt: skip
     _tolerance(add, required=False)
     _accepted(add)
+    _repaired(add)
     _index(add)
     add.set_defaults(run=_run_page)
 
@@ -83,10 +86,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = commands.add_parser("due", help="when a rig is due for its next calibration")
     add.add_argument("rig", metavar="RIG", help="serial number")
     _tolerance(add, required=True)
-    add.add_argument(
-        "--repaired", type=_date, metavar="DATE",
-        help="of the last repair or adjustment; calibrations before it do not count",
-    )  # fmt: skip
+    _repaired(add)
     _index(add)
     add.set_defaults(run=_run_due)
 
@@ -95,6 +95,13 @@ def _tolerance(parser: argparse.ArgumentParser, *, required: bool) -> None:
     parser.add_argument(
         "--tolerance", type=_millimetres, required=required, metavar="MM",
         help="largest tolerated error of a depth by drift, over the calibrated range",
+    )  # fmt: skip
+
+
+def _repaired(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--repaired", type=_date, metavar="DATE",
+        help="of the rig's last repair or adjustment; calibrations before it do not count",
     )  # fmt: skip
 
 
@@ -151,17 +158,21 @@ def _run_index(arguments: argparse.Namespace) -> int:
 
 
 def _run_show(arguments: argparse.Namespace) -> int:
+    from calib.core.errors import UsageError
     from calib.history.index import history, rigs
     from calib.history.output import text
-    from calib.history.summary import ACCEPTED, notes, show
+    from calib.history.summary import ACCEPTED, notes, show, since
 
     if arguments.rig is None:
-        rows = [[rig, str(number), last] for rig, number, last in rigs(arguments.index)]
+        if arguments.repaired is not None:
+            raise UsageError("--repaired: name the rig that was repaired")
+        rows = [[harmless(rig), str(number), last] for rig, number, last in rigs(arguments.index)]
         sys.stdout.write(text([("Rigs", [["rig", "calibrations", "last"], *rows])]))
         return 0
     accepted = arguments.accepted or ACCEPTED
-    entries = history(arguments.index, arguments.rig)
-    title = f"{arguments.rig}: {len(entries)} calibrations, {entries[0].date} to {entries[-1].date}"
+    entries = since(history(arguments.index, arguments.rig), arguments.repaired)
+    dates = f"{entries[0].date} to {entries[-1].date}"
+    title = f"{harmless(arguments.rig)}: {len(entries)} calibrations, {dates}"
     sys.stdout.write(text([(title, show(entries, accepted=accepted))]))
     for note in notes(entries, accepted=accepted):
         print(f"note: {note}")
@@ -173,12 +184,12 @@ def _run_chart(arguments: argparse.Namespace) -> int:
     from calib.history.figure import chart_figure
     from calib.history.index import history
     from calib.history.quantities import series
-    from calib.history.summary import ACCEPTED
+    from calib.history.summary import ACCEPTED, since
     from calib.report.plotting import svg
     from calib.stages.store import write_bytes
 
     accepted = arguments.accepted or ACCEPTED
-    entries = history(arguments.index, arguments.rig)
+    entries = since(history(arguments.index, arguments.rig), arguments.repaired)
     if len(entries) <= accepted:
         raise InputError.single(
             where=arguments.rig,
@@ -194,10 +205,10 @@ def _run_chart(arguments: argparse.Namespace) -> int:
 def _run_due(arguments: argparse.Namespace) -> int:
     from calib.core.errors import InputError
     from calib.history.index import history
-    from calib.history.summary import due, due_text
+    from calib.history.summary import due, due_text, since
 
-    entries = history(arguments.index, arguments.rig)
-    found = due(entries, tolerance_mm=arguments.tolerance, repaired=arguments.repaired)
+    entries = since(history(arguments.index, arguments.rig), arguments.repaired)
+    found = due(entries, tolerance_mm=arguments.tolerance)
     if found is None:
         raise InputError.single(
             where=arguments.rig,
@@ -209,20 +220,26 @@ def _run_due(arguments: argparse.Namespace) -> int:
 
 
 def _run_page(arguments: argparse.Namespace) -> int:
+    from calib.core.errors import UsageError
     from calib.history.index import history, rigs
     from calib.history.page import fleet_page, page_name, rig_page
-    from calib.history.summary import ACCEPTED
+    from calib.history.summary import ACCEPTED, since
     from calib.stages.store import write_bytes
 
     asked = {"accepted": arguments.accepted or ACCEPTED, "tolerance_mm": arguments.tolerance}
-    fleet = [history(arguments.index, rig) for rig, _, _ in rigs(arguments.index)]
+    if arguments.rig is None and arguments.repaired is not None:
+        raise UsageError("--repaired: name the rig that was repaired, by --rig")
+    wanted = [arguments.rig] if arguments.rig else [rig for rig, _, _ in rigs(arguments.index)]
+    pages = {rig: since(history(arguments.index, rig), arguments.repaired) for rig in wanted}
     arguments.out.mkdir(parents=True, exist_ok=True)
-    for entries in fleet:
-        if arguments.rig is None or entries[0].rig == arguments.rig:
-            page = rig_page(entries, **asked)
-            write_bytes(arguments.out / page_name(entries[0].rig), page.encode())
-    write_bytes(arguments.out / FLEET, fleet_page(fleet, **asked).encode())
-    print(f"{harmless(str(arguments.out / FLEET))}: written")
+    overview = arguments.out / FLEET
+    if arguments.rig is None or not overview.exists():
+        fleet = [history(arguments.index, rig) for rig, _, _ in rigs(arguments.index)]
+        write_bytes(overview, fleet_page(fleet, **asked).encode())
+    for rig, entries in pages.items():
+        write_bytes(arguments.out / page_name(rig), rig_page(entries, **asked).encode())
+    said = overview if arguments.rig is None else arguments.out / page_name(arguments.rig)
+    print(f"{harmless(str(said))}: written")
     return 0
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import sys
-from typing import TYPE_CHECKING
 
 from calib.cli.acceptance import add_acceptance, warn_of_failed
 from calib.cli.arguments import add_input, add_output, positive
@@ -13,21 +12,12 @@ from calib.cli.measure import writer
 from calib.cli.rig_options import add_rig, opened
 from calib.stages.output_guard import OutputKind
 
-if TYPE_CHECKING:
-    from calib.gaze.length import GazedLength
-
 DONE, NOT_ALL = 0, 3
 
 PLATE = "plate:1400,500,10"
 """Before the embedded virtual rig: the longest plate of Xu and Wang."""
 
-COLUMNS = (
-    "id", "from", "to", "length_mm", "u_length_mm", "low95_mm", "high95_mm",
-    "from_z_mm", "to_z_mm", "status",
-)  # fmt: skip
 LENGTHS = OutputKind(is_folder=False, marks=(b"id,from,to,length_mm,",))
-
-COVERAGE = 1.96
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -60,12 +50,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Measure lengths and return the exit status: 3 if one could not be or a gate had failed."""
     from calib.core.errors import UsageError
-    from calib.gaze.length import gaze_length
+    from calib.gaze.length import gaze_length, header, line
+    from calib.gaze.length import refused as refused_line
     from calib.gaze.measured import aiming, lenses
     from calib.gaze.placing import placing_for
     from calib.gaze.target import target
     from calib.instrument.calibration_file import read_calibration
-    from calib.instrument.measured_text import csv_text
     from calib.rig.known import known_board
     from calib.rig.protocols import RigError
 
@@ -84,7 +74,7 @@ def run(arguments: argparse.Namespace) -> int:
         gazer = make_gazer(arguments, rig, known.c2, lens_c1=known.c1, at=ends[0])
         where = aiming(measuring, known.c1)
         hand = placing_for(rig, _tell)
-        write(csv_text([COLUMNS]))
+        write(header())
         for name in (f"l{i:02d}" for i in range(1, arguments.count + 1)):
             hand.place(name)
             try:
@@ -92,18 +82,10 @@ def run(arguments: argparse.Namespace) -> int:
             except RigError as error:
                 refused += 1
                 _tell(f"calib: {name}: {error}")
-                cells = [*("",) * 6, str(error)]
+                write(refused_line(name, ends, str(error)))
             else:
-                cells = [*_numbers(found), status]
-            write(csv_text([[name, ends[0].name, ends[1].name, *cells]]))
+                write(line(name, ends, found, status=status))
     return NOT_ALL if refused or minded else DONE
-
-
-def _numbers(found: GazedLength) -> tuple[str, ...]:
-    half = COVERAGE * found.u_mm
-    z = found.positions.position_mm[:, 2]
-    values = (found.length_mm, found.u_mm, found.length_mm - half, found.length_mm + half, *z)
-    return tuple(f"{value:.4f}" for value in values)
 
 
 def _tell(line: str) -> None:

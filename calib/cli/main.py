@@ -12,6 +12,7 @@ import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from types import ModuleType
+from typing import NoReturn
 
 from calib.cli import (
     batch,
@@ -19,10 +20,12 @@ from calib.cli import (
     capture,
     check,
     compare,
+    completion,
     export,
     gaze,
     history,
     length,
+    live,
     measure,
     plan,
     rig,
@@ -32,7 +35,9 @@ from calib.cli import (
     verify,
 )
 from calib.cli.arguments import guard_outputs
+from calib.cli.examples import add_examples
 from calib.cli.streams import discard, open_streams, refused_output, settled, tell
+from calib.cli.voice import error_json, painted, print_json
 from calib.core.errors import CalibError
 from calib.core.version import __version__
 
@@ -60,6 +65,7 @@ GROUPS: tuple[tuple[str, tuple[Command, ...]], ...] = (
             Command("batch", batch, "calibrate many datasets, with one summary"),
             Command("check", check, "list every problem of a dataset; writes nothing"),
             Command("verify", verify, "are the files of a run whole and untouched?"),
+            Command("completion", completion, "completion of commands for bash or zsh"),
             Command("schema", schema, "JSON Schema of dataset.toml, calibration.json or rig.toml"),
         ),
     ),
@@ -84,6 +90,7 @@ GROUPS: tuple[tuple[str, tuple[Command, ...]], ...] = (
             Command("capture", capture, "rows of the rig into a dataset"),
             Command("gaze", gaze, "turn C2 to targets and measure their positions"),
             Command("length", length, "the distance of two points, each gazed at: plates too"),
+            Command("live", live, "the rig as a page in the browser: check to length"),
             Command("rig", rig, "is the rig fit to be calibrated and measured with?"),
         ),
     ),
@@ -105,9 +112,16 @@ def _overview() -> str:
     return "\n".join(lines)
 
 
+class _Parser(argparse.ArgumentParser):
+    """Refuses in one line, as all the rest of the program does."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(REFUSED, f"{self.prog}: {message}; {self.prog} --help says what there is\n")
+
+
 def parser() -> argparse.ArgumentParser:
     """Return the parser of all commands."""
-    top = argparse.ArgumentParser(
+    top = _Parser(
         prog="calib",
         description="Calibrates active-gazing stereo: a fixed camera C1 and a yawing camera C2.\n\n"
         + _overview(),
@@ -125,6 +139,8 @@ def parser() -> argparse.ArgumentParser:
             command.module.add_arguments(add)
             if hasattr(command.module, "run"):
                 add.set_defaults(run=command.module.run)
+    top.set_defaults(whole_parser=parser)
+    add_examples(top)
     return top
 
 
@@ -145,6 +161,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(arguments: Sequence[str] | None) -> int:
+    parsed: argparse.Namespace | None = None
     try:
         parsed = parser().parse_args(arguments)
         command: Callable[[argparse.Namespace], int] = parsed.run
@@ -152,7 +169,9 @@ def _run(arguments: Sequence[str] | None) -> int:
         status = command(parsed)
         sys.stdout.flush()
     except CalibError as error:
-        tell(f"calib: {error}")
+        if getattr(parsed, "json", False):
+            print_json(error_json(error))
+        tell(f"{painted('calib', 'red', sys.stderr)}: {error}")
         return error.exit_status
     except BrokenPipeError:
         # The reader of our output has gone; nothing is left to be said to it.

@@ -13,6 +13,7 @@ from typing import IO, TYPE_CHECKING
 from calib.cli.acceptance import NAMED_FAULTS, add_acceptance, warn_of_failed
 from calib.cli.arguments import STREAM, add_input, add_output
 from calib.cli.streams import standard_input
+from calib.cli.voice import add_voice, as_json_lines
 from calib.core.errors import InputError
 from calib.core.text_stream import read_texts
 from calib.stages.output_guard import OutputKind
@@ -25,7 +26,12 @@ DONE, NOT_ALL = 0, 3
 
 POSITIONS = OutputKind(
     is_folder=False,
-    marks=(b"id,x_mm,y_mm,z_mm,", b"id,source,u_z_mm,", b"length_mm,u_length_mm,reference_mm"),
+    marks=(
+        b"id,x_mm,y_mm,z_mm,",
+        b"id,source,u_z_mm,",
+        b"length_mm,u_length_mm,reference_mm",
+        b'{"id": ',
+    ),
 )
 
 
@@ -45,6 +51,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--strict", action="store_true", help="stop at the first row that cannot be measured"
     )
     add_acceptance(parser)
+    add_voice(
+        parser,
+        json_help="write an object a row, JSON Lines; null is no figure, or no limit",
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -59,10 +69,11 @@ def run(arguments: argparse.Namespace) -> int:
         arguments.calibration, measuring.failed_gates, accepted=arguments.accept_failed
     )
     name = "standard input" if str(arguments.table) == STREAM else str(arguments.table)
-    tally = _Tally(name, strict=arguments.strict)
+    tally = _Tally(name, strict=arguments.strict, quiet=arguments.quiet)
     work = _lengths if arguments.lengths is not None else _positions
     with _opened(arguments.table, name) as file, writer(arguments.out) as write:
-        work(arguments, measuring, read_texts(file, name=name), tally, write)
+        put = as_json_lines(write) if arguments.json else write
+        work(arguments, measuring, read_texts(file, name=name), tally, put)
     return NOT_ALL if tally.report() or refused else DONE
 
 
@@ -97,7 +108,7 @@ def _positions(
                 block, measured, calibrated_mm=measuring.calibrated_mm, gate_failed=failed
             )
         )
-    if note is not None:
+    if note is not None and not arguments.quiet:
         print(f"calib: note: {note}", file=sys.stderr)
 
 
@@ -128,8 +139,9 @@ def _lengths(
 class _Tally:
     """Rows that could not be measured."""
 
-    def __init__(self, name: str, *, strict: bool) -> None:
+    def __init__(self, name: str, *, strict: bool, quiet: bool) -> None:
         self.name = name
+        self._quiet = quiet
         self._strict = strict
         self._named: list[str] = []
         self.rows = self.failed = 0
@@ -163,7 +175,7 @@ class _Tally:
         if self.rows == 0:
             remedy = "add a row for each reading"
             raise InputError.single(where=self.name, what="has no rows", remedy=remedy)
-        for line in self._named:
+        for line in self._named if not self._quiet else ():
             print(line, file=sys.stderr)
         if self.failed:
             more = f", the first {NAMED_FAULTS} named above" * (self.failed > NAMED_FAULTS)

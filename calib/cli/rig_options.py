@@ -26,9 +26,9 @@ def add_rig(parser: argparse.ArgumentParser) -> None:
 
 def check_path(rig_file: Path | None) -> Path:
     """Return where the check of a rig lies: beside its rig.toml, or here for the virtual rig."""
-    from calib.rig.check_file import FILE
+    from calib.rig import check_file
 
-    return Path(FILE) if rig_file is None else rig_file.with_name(FILE)
+    return check_file.check_path(rig_file)
 
 
 @contextmanager

@@ -7,6 +7,7 @@ import math
 from functools import partial
 
 from calib.cli.arguments import add_output, natural, whole
+from calib.cli.voice import add_voice
 from calib.core.errors import UsageError, harmless
 from calib.stages.output_guard import OutputKind
 
@@ -44,6 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--set", action="append", default=[], metavar="NAME=VALUE", help="fix a parameter"
     )
+    add_voice(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -63,11 +65,13 @@ def run(arguments: argparse.Namespace) -> int:
         faults=dict(_fault(text) for text in arguments.fault),
         fixed=dict(_assignment(text) for text in arguments.set),
     )
-    console = Console()
+    console = Console(quiet=arguments.quiet)
     try:
         simulate_dataset(arguments.out, options, progress=partial(console.progress, "images"))
     finally:
         console.close()
+    if arguments.quiet:
+        return 0
     print(f"{harmless(str(arguments.out))}: written, with its truth in truth.json")
     return 0
 

@@ -9,6 +9,7 @@ from functools import partial
 from pathlib import Path
 
 from calib.cli.arguments import add_output, jobs, natural, whole
+from calib.cli.voice import add_voice
 from calib.stages.output_guard import OutputKind
 
 DONE, CLAIM_BROKEN = 0, 3
@@ -43,6 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--jobs", type=jobs, default=1, metavar="N", help="processes here; default: 1"
     )
     parser.add_argument("--scheduler", metavar="ADDRESS", help="work on this Dask cluster instead")
+    add_voice(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -55,7 +57,7 @@ def run(arguments: argparse.Namespace) -> int:
     from calib.study.scores import score_all
 
     conditions = chosen(tuple(arguments.condition or ("default",)))
-    console = Console()
+    console = Console(quiet=arguments.quiet)
     try:
         records = run_study(
             arguments.out / JOURNAL,
@@ -77,7 +79,9 @@ def run(arguments: argparse.Namespace) -> int:
         "conditions": list(conditions),
     }
     written = write_study(arguments.out, records, scores, verdicts, settings=settings)
-    lines = [verdict_text(verdict) for verdict in verdicts]
-    lines.append("written: " + ", ".join(str(path) for path in written))
-    sys.stdout.write("\n".join(lines) + "\n")
+    told = [v for v in verdicts if v.broken] if arguments.quiet else verdicts
+    lines = [verdict_text(verdict) for verdict in told]
+    if not arguments.quiet:
+        lines.append("written: " + ", ".join(str(path) for path in written))
+    sys.stdout.write("".join(f"{line}\n" for line in lines))
     return CLAIM_BROKEN if any(verdict.broken for verdict in verdicts) else DONE

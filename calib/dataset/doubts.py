@@ -9,6 +9,7 @@ import numpy as np
 from calib.core.arrays import FloatArray
 from calib.dataset.contents import Dataset
 from calib.dataset.conventions import better_convention, misfit
+from calib.dataset.encoder import FURTHER
 from calib.dataset.lens_slips import lens_doubts
 from calib.dataset.manifest import Gaze, Validation
 from calib.dataset.tables import GazeTable
@@ -56,11 +57,24 @@ def doubts(dataset: Dataset) -> Iterator[str]:
             )
         yield from (f"[cameras.{name}]: {doubt}" for doubt in lens_doubts(camera.distortion))
     yield from _per_cent(dataset)
+    yield from _reading(dataset)
     if dataset.gaze is not None:
         yield from _gaze_doubts(dataset, dataset.gaze)
         yield from _step_doubts(dataset, dataset.gaze)
     for table in dataset.rows:
         yield from _convention_doubts(dataset, table)
+
+
+def _reading(dataset: Dataset) -> Iterator[str]:
+    """Yield what is assumed of a reading whose uncertainty is not stated."""
+    encoder = dataset.manifest.encoder
+    if encoder is None or encoder.u_alpha2_deg is not None or encoder.reads not in FURTHER:
+        return
+    yield (
+        f'[encoder]: u_alpha2_deg is not stated; with reads = "{encoder.reads}" '
+        f"{encoder.further_u_deg:.2g} deg are assumed for {FURTHER[encoder.reads]}; "
+        "`calib rig check` measures it"
+    )
 
 
 def _per_cent(dataset: Dataset) -> Iterator[str]:

@@ -14,8 +14,9 @@ from pydantic_core import ErrorDetails
 from calib.core.errors import InputError, Problem
 from calib.dataset.fields import PRIOR_NAMES, REFUSED
 from calib.dataset.folder import decode
-from calib.dataset.manifest import Manifest, Section
+from calib.dataset.manifest import Manifest
 from calib.dataset.messages import LISTED_PROBLEMS, nearest, shortened, shown, suggestion
+from calib.dataset.section import Section
 
 MANIFEST: Final = "dataset.toml"
 

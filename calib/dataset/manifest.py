@@ -9,10 +9,11 @@ from __future__ import annotations
 from typing import Final, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from calib.dataset.corrections import AcceptedCause
 from calib.dataset.depth_origin import DepthOrigin, origin_of
+from calib.dataset.encoder import Encoder
 from calib.dataset.fields import (
     AngleDeg,
     CameraMatrix,
@@ -32,15 +33,14 @@ from calib.dataset.fields import (
     Prose,
     Published,
     SquareMm,
-    StepDeg,
     Target,
-    UAngleDeg,
     UX1c,
     UZRel,
     refuse,
 )
 from calib.dataset.lens_slips import lens_fault
 from calib.dataset.messages import shown, suggestion
+from calib.dataset.section import Section
 
 CAMERAS: Final = ("c1", "c2")
 
@@ -57,12 +57,6 @@ DICTIONARIES = (
     *(f"DICT_APRILTAG_{kind}" for kind in ("16h5", "25h9", "36h10", "36h11")),
 )
 """Marker sets that OpenCV knows by name."""
-
-
-class Section(BaseModel):
-    """A table of the manifest: frozen, and without room for unknown keys."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
 
 class Source(Section):
@@ -245,23 +239,6 @@ class Rig(Section):
     def is_left(self) -> bool:
         """Whether C2 stands at -X of C1."""
         return self.c2 == "left"
-
-
-class Encoder(Section):
-    """The yaw encoder: one count or microstep, and what else is uncertain of a reading.
-
-    `full_step_deg` is a stepper's full step at the axis, in which microsteps repeat their error.
-    """
-
-    resolution_deg: StepDeg
-    u_alpha2_deg: UAngleDeg = 0.0
-    full_step_deg: StepDeg | None = None
-
-    @property
-    def std_rad(self) -> float:
-        """Standard uncertainty of a reading, rad: a uniform step and the rest."""
-        step = self.resolution_deg / np.sqrt(12)
-        return float(np.deg2rad(np.hypot(step, self.u_alpha2_deg)))
 
 
 class Gaze(Section):

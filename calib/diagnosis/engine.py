@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,6 +12,12 @@ from calib.diagnosis.attempts import Base, Outcome, bases, best_of, carried_offs
 from calib.diagnosis.hypotheses import HYPOTHESES, Hypothesis
 from calib.diagnosis.refit import corrected
 from calib.diagnosis.session import RowHistory, Session
+from calib.diagnosis.structure import (
+    Stretched,
+    Structure,
+    residual_structure,
+    stretched_priors,
+)
 from calib.fit.priors import Priors
 from calib.fit.robust import RobustFit
 from calib.geometry.parameters import REFERENCE_OFFSET
@@ -113,11 +119,17 @@ class Diagnosis:
         Those named, best first; all of them fit nearly as well.
     tried
         All that were tried and that the rows can tell something of, best first.
+    structure
+        Tests of the residuals of the model alone.
+    stretched
+        Parameters whose estimates lie far out in their priors.
     """
 
     model: str
     causes: tuple[Cause, ...] = ()
     tried: tuple[Attempt, ...] = ()
+    structure: tuple[Structure, ...] = ()
+    stretched: tuple[Stretched, ...] = ()
 
     @property
     def left_out(self) -> Cause | None:
@@ -159,8 +171,12 @@ def diagnose(
     """
     tried = Tried.of(rows, priors, fit, history, is_left=is_left)
     if tried is None:
-        return Diagnosis(fit.model)
-    return tried.diagnosis(depths)
+        return Diagnosis(fit.model, stretched=stretched_priors(fit, priors))
+    return replace(
+        tried.diagnosis(depths),
+        structure=residual_structure(tried.base),
+        stretched=stretched_priors(fit, priors),
+    )
 
 
 @dataclass(frozen=True)

@@ -105,7 +105,7 @@ _ENTRIES = (
         of_readings=True, is_size=True,
     ),
     Hypothesis(
-        "encoder-twice-per-turn", trials.twice_per_turn, "deg", DEG, 0.1,
+        "encoder-twice-per-turn", trials.twice_per_turn, "deg", DEG, 0.3,
         "alpha2 errs by up to {value}, twice per turn",
         "centre the encoder's disc, or calibrate it by a yaw sweep", _SWEEP,
         of_readings=True, is_size=True,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Final
 
 from calib.gaze.aim import Aiming
 from calib.gaze.gazing import Gazer
@@ -10,8 +11,16 @@ from calib.gaze.measured import positions
 from calib.gaze.row import GazeRow, refuse_moved
 from calib.gaze.target import Target
 from calib.instrument.calibration_file import Measuring
+from calib.instrument.measured_text import csv_text
 from calib.instrument.measuring import Positions
 from calib.rig.protocols import Refused
+
+COLUMNS: Final = (
+    "id", "from", "to", "length_mm", "u_length_mm", "low95_mm", "high95_mm",
+    "from_z_mm", "to_z_mm", "status",
+)  # fmt: skip
+
+COVERAGE: Final = 1.96
 
 
 @dataclass(frozen=True)
@@ -56,3 +65,23 @@ def gaze_length(
         raise Refused(f"{ends[i].name}: {why}")
     length, u = found.length(0, 1)
     return GazedLength((rows[0], rows[1]), found, length, u)
+
+
+def header() -> str:
+    """Return the first line of a table of lengths."""
+    return csv_text([COLUMNS])
+
+
+def line(name: str, ends: tuple[Target, Target], found: GazedLength, *, status: str) -> str:
+    """Return the line of a length."""
+    half = COVERAGE * found.u_mm
+    z = found.positions.position_mm[:, 2]
+    values = (found.length_mm, found.u_mm, found.length_mm - half, found.length_mm + half, *z)
+    cells = (name, ends[0].name, ends[1].name, *(f"{value:.4f}" for value in values), status)
+    return csv_text([cells])
+
+
+def refused(name: str, ends: tuple[Target, Target], reason: str) -> str:
+    """Return the line of a length that could not be measured: no numbers, and why."""
+    nothing = ("",) * (len(COLUMNS) - 4)
+    return csv_text([(name, ends[0].name, ends[1].name, *nothing, reason)])

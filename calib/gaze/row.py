@@ -15,7 +15,7 @@ from calib.core.arrays import FloatArray
 from calib.gaze.target import Sighting
 from calib.rig.protocols import Frame, Refused, Standstill
 
-FIRST_NOISE_PX, FIRST_FREEDOM = 0.1, 2.0
+FIRST_NOISE_PX, FIRST_FREEDOM = 0.05, 2.0
 """Scatter of a coordinate from picture to picture before there are repeats, and how many degrees of
 freedom that guess is worth: six pictures of one camera outweigh it."""
 

@@ -6,6 +6,7 @@ the target has a name (a tag, a ChArUco corner) it is known by it.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final, Protocol, Self
@@ -100,14 +101,16 @@ rendered pictures of 640 x 480 px, 60 poses a kind, tilted up to 30 degrees: tag
 px 0.034, 0.022 and 0.020 px; crosses with arms of 24 and 40 px 0.021 and 0.023; discs of 12 and 24
 px 0.024 and 0.054."""
 
-CORNER_FLOOR_PX, CORNER_FLOOR_SQUARE = 0.008, 0.32
-"""The same of chessboard corners: a constant, and px times px of the squares' side. Rendered, 100
-poses each: squares of 6, 8, 12, 18, 28 and 36 px 0.054, 0.038, 0.024, 0.018, 0.013 and 0.011."""
+CORNER_FLOOR: Final = (0.008, 0.26, 1.2)
+"""The same of chessboard corners, the root of the sum of squares of a constant, px, a part that
+falls with the side of a square, px times px, and one with its square. Rendered,
+100 poses each: squares of 6, 8, 12, 18, 28, 36 px 0.054, 0.038, 0.024, 0.018, 0.013, 0.011."""
 
 
 def _corner_floor(spacing_px: float) -> float:
     """Return a corner's floor, px; small squares leave it little edge to be found by."""
-    return float(np.hypot(CORNER_FLOOR_PX, CORNER_FLOOR_SQUARE / spacing_px))
+    constant, linear, square = CORNER_FLOOR
+    return math.hypot(constant, linear / spacing_px, square / spacing_px**2)
 
 
 def _tag_floor(side_px: float) -> float:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import asdict
+from typing import Any
 
 from calib.history.drift import FAMILY_RISK, Drift, Run
 from calib.report.plain_page import Block, Paragraph, PlainTable, plain_page
@@ -106,6 +108,36 @@ def text(found: Sequence[Table]) -> str:
         ]
         blocks.append("\n".join([title, *(f"  {line}" for line in lines)]))
     return "\n\n".join(blocks) + "\n"
+
+
+def verdicts(changes: Sequence[Drift]) -> str:
+    """Return what the comparison comes to, a line a pair."""
+    return "".join(f"{_title(drift)}\n" for drift in changes)
+
+
+def document(runs: Sequence[Run], changes: Sequence[Drift]) -> dict[str, Any]:
+    """Return runs and what has changed for programs."""
+    return {
+        "runs": [
+            {
+                "name": run.name,
+                "dataset": run.dataset,
+                "model": run.model,
+                "calibrated_mm": run.measuring.calibrated_mm,
+                "failed_gates": run.failed,
+                "parameters": {
+                    name: {"value": value, "std": std}
+                    for name, (value, std) in run.estimates().items()
+                },
+                "scores": run.scores,
+            }
+            for run in runs
+        ],
+        "changes": [
+            asdict(drift) | {"verdict": drift.verdict, "significant": drift.significant}
+            for drift in changes
+        ],
+    }
 
 
 def html(found: Sequence[Table]) -> str:

@@ -10,8 +10,8 @@ from pathlib import Path
 from calib.core.errors import CalibError
 from calib.history.charts import charts, reference
 from calib.history.drift import drifts
+from calib.history.entry import Entry
 from calib.history.figure import chart_figure
-from calib.history.index import Entry
 from calib.history.output import changes_tables
 from calib.history.quantities import series
 from calib.history.read import read_run

@@ -16,7 +16,7 @@ from calib.core.arrays import FloatArray
 from calib.geometry.misclosure import depth_jacobian
 from calib.geometry.parameters import INDEX, vector
 from calib.geometry.plane import gaze_at
-from calib.history.index import Entry
+from calib.history.entry import Entry
 
 DISTANCES = 3
 """Depths charted: the ends and the middle of what the first calibration covers."""

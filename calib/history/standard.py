@@ -11,9 +11,9 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import datetime, time
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
@@ -173,6 +173,7 @@ def check_standard(measuring: Measuring, standard: Standard, text: str, *, name:
     measured = measure(measuring, block.table)
     _refuse_faults(block, measured, name)
     sessions = _sessions(block, standard, name)
+    _refuse_one_place(measured, standard, sessions, name)
     found = [_quantities(measured, standard, one) for one in sessions]
     certified = [
         (q.length_mm if isinstance(q, Length) else q.z_mm, q.u_mm) for q in standard.quantities
@@ -220,7 +221,12 @@ def mean_of(checked: Checked, of: slice) -> tuple[FloatArray, FloatArray]:
 
 def _block(text: str, name: str) -> ReadingBlock:
     """Return the rows, each with an id of its own: target and date."""
-    records = list(csv.reader(io.StringIO(text.removeprefix("\ufeff"))))
+    try:
+        records = list(csv.reader(io.StringIO(text.removeprefix("\ufeff"))))
+    except csv.Error as error:
+        raise InputError.single(
+            where=name, what=f"is no table ({error})", remedy="save it as CSV UTF-8"
+        ) from None
     header = [cell.strip() for cell in records[0]] if records else []
     for column in (DATE, TARGET):
         if header.count(column) != 1:
@@ -234,12 +240,13 @@ def _block(text: str, name: str) -> ReadingBlock:
     for line, cells in enumerate(records[1:], 2):
         record = cells
         if len(record) == len(header):
-            day, one = record[date].strip(), record[target].strip()
-            if not _is_date(day):
+            given, one = record[date].strip(), record[target].strip()
+            day = _one_spelling(given)
+            if day is None:
                 problems.append(
                     Problem(
                         f"{name}, line {line}, column {DATE}",
-                        f"{day!r} is no date", "write 2026-01-31 or 2026-01-31T08:00, local time",
+                        f"{given!r} is no date", "write 2026-01-31 or 2026-01-31T08:00, local time",
                     )
                 )  # fmt: skip
             named = [*record[:target], f"{one} {day}", *record[target + 1 :]]
@@ -257,11 +264,19 @@ def _block(text: str, name: str) -> ReadingBlock:
     return block
 
 
-def _is_date(text: str) -> bool:
+def _one_spelling(text: str) -> str | None:
+    """Return a date, or date and time, as this program writes it; None if it is neither.
+
+    The same time spelt in two ways is one session, not two.
+    """
     try:
-        return datetime.fromisoformat(text).tzinfo is None
+        at = datetime.fromisoformat(text)
     except ValueError:
-        return False
+        return None
+    if at.tzinfo is not None:
+        return None
+    midnight = at.time() == time.min
+    return at.date().isoformat() if midnight else at.isoformat()
 
 
 def _sessions(block: ReadingBlock, standard: Standard, name: str) -> tuple[Session, ...]:
@@ -276,7 +291,7 @@ def _sessions(block: ReadingBlock, standard: Standard, name: str) -> tuple[Sessi
             problems.append(Problem(where, what, "give each session a time, as 2026-01-31T08:00"))
         session[target] = row
     problems += [
-        Problem(f"{name}, {date}", f"{target} is not read", "read each target, or leave it out")
+        Problem(f"{name}, {date}", f"{target} is not read", "read it, or leave out the session")
         for date, at in by_date.items()
         for target in standard.targets
         if target not in at
@@ -296,6 +311,24 @@ def _refuse_faults(block: ReadingBlock, measured: Measured, name: str) -> None:
                 for i, why in sorted(faults.items())
             ]
         )
+
+
+def _refuse_one_place(
+    measured: Measured, standard: Standard, sessions: Sequence[Session], name: str
+) -> None:
+    """Raise if both ends of a length were read at one place: it has no direction, and no u."""
+    problems = [
+        Problem(
+            f"{name}, {session.date}",
+            f"{' and '.join(one.between)} have the same readings",
+            "read each of them, or leave out the session",
+        )
+        for session in sessions
+        for one in standard.length
+        if np.array_equal(*(measured.position_mm[session.at[end]] for end in one.between))
+    ]
+    if problems:
+        raise InputError(problems)
 
 
 def _quantities(

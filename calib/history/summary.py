@@ -7,9 +7,10 @@ from datetime import date, timedelta
 
 import numpy as np
 
+from calib.core.errors import InputError
 from calib.history.charts import UNCERTAINTY_RISK, charts, reference, scatter_test
 from calib.history.due import LONGEST, Due, next_due
-from calib.history.index import Entry
+from calib.history.entry import Entry
 from calib.history.quantities import Series, series
 
 ACCEPTED = 3
@@ -54,6 +55,14 @@ def notes(entries: Sequence[Entry], *, accepted: int = ACCEPTED) -> list[str]:
     found = []
     if len(entries) <= accepted:
         found.append(f"{len(entries)} of {accepted} calibrations at acceptance: no chart yet")
+    days = len({e.date for e in entries})
+    if days < len(entries):
+        found.append(
+            f"{len(entries)} calibrations on {days} days: if these are the days of computing, "
+            "state date under [certificate] in each dataset.toml"
+        )
+    if _day(entries[-1].date) > date.today():
+        found.append(f"the last calibration is dated in the future: {entries[-1].date}")
     models = sorted({e.model for e in entries})
     if len(models) > 1:
         found.append(
@@ -63,14 +72,30 @@ def notes(entries: Sequence[Entry], *, accepted: int = ACCEPTED) -> list[str]:
     return found
 
 
-def due(
-    entries: Sequence[Entry], *, tolerance_mm: float, repaired: date | None = None
-) -> tuple[date, Due, Series] | None:
+def since(entries: Sequence[Entry], repaired: date | None) -> Sequence[Entry]:
+    """Return the calibrations that count: those before a repair are of another rig.
+
+    Raises
+    ------
+    InputError
+        If there are none.
+    """
+    kept = [e for e in entries if repaired is None or _day(e.date) >= repaired]
+    if not kept:
+        raise InputError.single(
+            where=entries[0].rig,
+            what=f"was not calibrated since it was repaired on {repaired}",
+            remedy="calibrate it, or give another --repaired",
+        )
+    return kept
+
+
+def due(entries: Sequence[Entry], *, tolerance_mm: float) -> tuple[date, Due, Series] | None:
     """Return the earliest due date over the depths charted; None if there is no interval yet.
 
-    Of calibrations on one day the last counts; those before a repair do not count.
+    Of calibrations on one day the last counts.
     """
-    by_day = {e.date: e for e in entries if repaired is None or _day(e.date) >= repaired}
+    by_day = {e.date: e for e in entries}
     if len(by_day) < 2:
         return None
     days = np.array([float(_day(text).toordinal()) for text in by_day])
@@ -81,7 +106,9 @@ def due(
     ]
     first, where = min(found, key=lambda pair: (pair[0].interval, -(pair[0].risk or 0)))
     # Whole days, rounded down: the date is not to be later than what was computed.
-    return _day(list(by_day)[-1]) + timedelta(days=int(first.interval)), first, where
+    latest = _day(list(by_day)[-1])
+    left = (date.max - latest).days
+    return latest + timedelta(days=min(int(first.interval), left)), first, where
 
 
 def due_text(found: tuple[date, Due, Series]) -> list[str]:

@@ -13,6 +13,7 @@ from calib.dataset.manifest import DEFAULT_U_X1C
 from calib.fit.information import row_information
 from calib.fit.priors import NormalKnowledge, Priors, measured_of, prior_of
 from calib.fit.robust import fit_robust, too_much
+from calib.fit.scale import scaled_defaults
 from calib.fit.start import first_guess
 from calib.geometry.parameters import INDEX, MODELS, Model, embed, model_for
 from calib.geometry.plane import OBSERVABLE
@@ -71,7 +72,8 @@ def prepare(
     if model not in MODELS:
         raise UsageError(f"--model {model}: unknown; choose from {', '.join(MODELS)}")
     rows = prior_knowledge.rows
-    priors = Priors(row_priors(dataset), prior_knowledge.measured)
+    defaults = {} if rows is None else scaled_defaults(rows)
+    priors = Priors(defaults | row_priors(dataset), prior_knowledge.measured)
     settings, notes = _settings(dataset)
     if rows is None:
         knowledge = _from_priors(MODELS[model], priors, prior_knowledge.baseline_mm)
@@ -144,7 +146,7 @@ def _settings(dataset: Dataset) -> tuple[RowSettings, tuple[str, ...]]:
         u_z_mm=0.0,
         u_z_rel=ASSUMED_U_Z_REL,
         encoder_step_rad=float(np.deg2rad(encoder.resolution_deg)),
-        u_alpha2_rad=float(np.deg2rad(encoder.u_alpha2_deg)),
+        u_alpha2_rad=float(np.deg2rad(encoder.further_u_deg)),
     )
     note = (
         f"no [gaze] in dataset.toml: u(x1c) = {DEFAULT_U_X1C:g} and u(z) = "

@@ -134,13 +134,23 @@ class Picture:
 
 
 @dataclass(frozen=True)
+class Scene:
+    """The rig to be turned and looked at; `data` is JSON of `calib.report.scene`."""
+
+    key: str
+    data: str
+    caption: Text
+    kind: Literal["scene"] = field(default="scene", init=False)
+
+
+@dataclass(frozen=True)
 class Thumbnail:
-    """A small picture: data URI, name, what found its board."""
+    """A small picture: data URI, name, what found its board; `fault`, if any, frames it."""
 
     image: str
     name: str
     detector: str
-    mark: str = ""
+    fault: str = ""
 
 
 @dataclass(frozen=True)
@@ -173,6 +183,7 @@ Block: TypeAlias = (
     | Command
     | Picture
     | PictureSheet
+    | Scene
     | Fold
 )
 

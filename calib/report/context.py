@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -51,6 +51,8 @@ class ReportContext:
         One count or microstep; None where no encoder is described.
     priors
         Mean and standard deviation by parameter, as the manifest states them.
+    scaled_priors
+        Default ones that were scaled to a rig of another size.
     published
         Published value and standard uncertainty by quantity, as the manifest states them.
     made
@@ -65,6 +67,7 @@ class ReportContext:
     priors: Mapping[str, tuple[float, float]]
     published: Mapping[str, tuple[float, float]]
     made: Provenance
+    scaled_priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
 
 def report_context(dataset: Dataset, made: Provenance) -> ReportContext:
@@ -107,6 +110,7 @@ def _source(m: Manifest) -> tuple[tuple[str, str], ...]:
 
 IN_MANIFEST = "dataset.toml"
 BY_DEFAULT = "default, as dataset.toml says nothing"
+BY_READS = "default for what is read, as dataset.toml states no u_alpha2_deg"
 IN_ROWS = "row by row, in the table"
 
 
@@ -117,10 +121,11 @@ def _statements(dataset: Dataset) -> list[Statement]:
         found.append(
             Statement("one count or step of the yaw encoder", f"{e.resolution_deg:g}°", IN_MANIFEST)
         )
-        if e.u_alpha2_deg:
-            found.append(
-                Statement("further u(α2) of a reading", f"{e.u_alpha2_deg:g}°", IN_MANIFEST)
-            )
+        if e.reads is not None:
+            found.append(Statement("what a reading is", e.reads, IN_MANIFEST))
+        if e.further_u_deg:
+            source = BY_READS if e.u_alpha2_deg is None else IN_MANIFEST
+            found.append(Statement("further u(α2) of a reading", f"{e.further_u_deg:.3g}°", source))
     if m.gaze is not None and dataset.gaze is not None:
         if any(dataset.gaze.image_c1):
             found.append(Statement("x1c, y1c of a row", "with its covariance", "pictures of C1"))

@@ -78,6 +78,8 @@ class GazeResult:
         Mistakes that the rows show; None if no model could be fitted.
     evidence
         Accuracy at the certified depths; None if no model could be fitted.
+    default_priors
+        Default priors that were scaled to a rig of another size: mean and standard deviation.
     """
 
     rows: Observations
@@ -97,6 +99,7 @@ class GazeResult:
     diagnosis: Diagnosis | None = None
     correction: Attempt | None = None
     evidence: Evidence | None = None
+    default_priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -222,6 +225,7 @@ def _gaze(g: GazeResult) -> dict[str, Any]:
         }
     if g.diagnosis is not None:
         document["diagnosis"] = diagnosis_document(g.diagnosis)
+        document["residual_structure"] = [vars(test) for test in g.diagnosis.structure]
     if g.correction is not None:
         document["corrections"] = [correction_document(g.correction)]
     document["not_fitted"] = dict(g.refused)

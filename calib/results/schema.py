@@ -341,6 +341,14 @@ class CorrectionPart(Part):
     text: str
 
 
+class StructurePart(Part):
+    """A test of the selected model's residuals by an added regressor."""
+
+    against: str
+    at: str | None = None
+    probability: float = Field(description="of so much by chance")
+
+
 class GatePart(Part):
     """A check of the result."""
 
@@ -379,6 +387,7 @@ class Document(Part):
     validation: list[ValidationRow] | None = None
     validation_summary: dict[str, dict[str, float]] | None = None
     diagnosis: list[CausePart] | None = Field(None, description="best first")
+    residual_structure: list[StructurePart] | None = None
     corrections: list[CorrectionPart] | None = None
     not_fitted: dict[str, str] | None = None
     gates: list[GatePart]

@@ -76,6 +76,11 @@ class RigCheck(_Section):
         return tuple(check for check in self.checks if not check.passed)
 
 
+def check_path(rig_file: Path | None) -> Path:
+    """Return where the check of a rig lies: beside its rig.toml, or here for the virtual rig."""
+    return Path(FILE) if rig_file is None else rig_file.with_name(FILE)
+
+
 def check_text(check: RigCheck) -> str:
     """Return the file's text."""
     return json.dumps(check.model_dump(), indent=1) + "\n"

@@ -26,8 +26,9 @@ from calib.dataset.fields import (
     refuse,
 )
 from calib.dataset.folder import decode
-from calib.dataset.manifest import DISTORTION_LENGTHS, Board, Section
+from calib.dataset.manifest import DISTORTION_LENGTHS, Board
 from calib.dataset.messages import LISTED_PROBLEMS, shortened, shown, suggestion
+from calib.dataset.section import Section
 from calib.rig.virtual.settings import VirtualSettings
 
 FILE: Final = "rig.toml"

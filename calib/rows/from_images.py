@@ -21,6 +21,9 @@ from calib.images.stereo.triangulate import shared_names
 from calib.rows.common_errors import Shared
 from calib.rows.from_table import U_PIXEL, CameraSet, ImageObservations
 
+LEAST_PX = 0.01
+"""No detector finds corners better, whatever few images say."""
+
 POSE = 6
 """Unknowns of the pose of a board."""
 
@@ -32,13 +35,14 @@ class CornerNoise:
     Parameters
     ----------
     c1_px, c2_px
-        Standard deviation of a coordinate, px.
+        Standard deviation of a coordinate, px; None of a camera whose lens is given, so that the
+        images of the rows alone show it.
     warp_mm
         Bow of the board along x and y, where a solve told it.
     """
 
-    c1_px: float = U_PIXEL
-    c2_px: float = U_PIXEL
+    c1_px: float | None = None
+    c2_px: float | None = None
     warp_mm: tuple[float, float] | None = None
 
 
@@ -108,7 +112,7 @@ def _corner_noise(
     camera: Camera | None,
     warp_mm: tuple[float, float] | None,
     *,
-    least: float,
+    least: float | None,
 ) -> float:
     """Return the standard deviation of a corner coordinate in the images of rows, px.
 
@@ -121,10 +125,10 @@ def _corner_noise(
     views
         Corners, px, shape (n, corners, 2); NaN where not found.
     least
-        What it is at least, px.
+        What it is at least, px; None if nothing says it.
     """
     if camera is None:
-        return least
+        return U_PIXEL if least is None else least
     points = deformed(board.object_points(), warp_mm)
     found = []
     for view in views:
@@ -132,7 +136,9 @@ def _corner_noise(
         if coordinates >= 2 * MIN_CORNERS:
             _, rms = single_view_pose(camera, points=points, pixels=view)
             found.append(rms * np.sqrt(coordinates / (coordinates - POSE)))
-    return max(least, float(np.median(found))) if found else least
+    if not found:
+        return U_PIXEL if least is None else least
+    return max(LEAST_PX if least is None else least, float(np.median(found)))
 
 
 def _views(names: tuple[str | None, ...], corners: Corners | None, board: Board) -> FloatArray:

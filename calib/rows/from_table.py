@@ -92,7 +92,7 @@ def row_settings(dataset: Dataset) -> RowSettings:
         u_z_mm=gaze.u_z_mm,
         u_z_rel=gaze.u_z_rel,
         encoder_step_rad=float(np.deg2rad(encoder.resolution_deg)),
-        u_alpha2_rad=float(np.deg2rad(encoder.u_alpha2_deg)),
+        u_alpha2_rad=float(np.deg2rad(encoder.further_u_deg)),
         u_z_group_mm=gaze.u_z_group_mm,
         u_z_group_rel=gaze.u_z_group_rel,
         z_ahead_mm=ahead_of_c1(gaze.origin)[0],

@@ -113,7 +113,7 @@ def _group(leader: int) -> list[int]:
 def test_on_a_cluster_as_here(three: Path, tmp_path: Path) -> None:
     tasks = tasks_of([three / "bad", three / "none"], tmp_path / "out")
     with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, dashboard_address=None
+        n_workers=2, threads_per_worker=1, dashboard_address="127.0.0.1:0"
     ) as cluster:
         there = run_batch(tasks, scheduler=cluster.scheduler_address)
     assert there == run_batch(tasks, jobs=2)

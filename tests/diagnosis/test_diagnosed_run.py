@@ -68,6 +68,10 @@ def test_a_slip_fails_its_gate_and_is_named(
     assert cause["noise_scale"][1] < 1.5 < cause["noise_scale"][0]
     assert cause["depth_change_over_u"] > 1
     assert not gate(document)["passed"]
+    (residuals,) = (g for g in document["gates"] if g["name"] == "residuals")
+    assert cause["noise_scale"][0] > 2
+    assert not residuals["passed"]
+    assert min(t["probability"] for t in document["residual_structure"]) < 1e-4
     assert "CAUSE  reading-step: from row g13 on" in said
     assert "GATE FAILED  diagnosis: reading-step" in said
 

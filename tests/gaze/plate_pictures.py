@@ -34,7 +34,7 @@ def _rays(k1: float) -> np.ndarray:
     )
     bent = (np.stack([u.ravel(), v.ravel()], axis=1) - lens.matrix[:2, 2]) / lens.matrix[0, 0]
     rays = bent
-    for _ in range(20):
+    for _ in range(8 if k1 else 0):
         rays = bent / (1 + k1 * (rays**2).sum(axis=1, keepdims=True))
     return np.column_stack([rays, np.ones(len(rays))])
 

@@ -39,7 +39,7 @@ def test_a_picture_from_before_the_standstill_makes_no_row():
 def test_the_uncertainty_is_that_of_repeats_and_never_below_the_floor():
     rng = np.random.default_rng(1)
     noise = Noise()
-    assert noise.std_px == pytest.approx(0.1)
+    assert noise.std_px == pytest.approx(0.05)
     for _ in range(100):
         noise = noise.after(scattered(rng, 4, 0.03))
     assert noise.std_px == pytest.approx(0.03, rel=0.1)

@@ -9,16 +9,18 @@ import sqlite3
 import subprocess
 import sys
 from datetime import date, timedelta
+from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from calib.cli.main import main
+from calib.core.errors import InputError
 from calib.history.index import history, rigs, update
 from calib.history.page import page_name
 from calib.history.quantities import series
-from calib.history.summary import due, show
+from calib.history.summary import due, notes, show, since
 
 NAMES = ["baseline_mm", "delta2_rad", "axis_z_mm", "eccentricity_mm"]
 TRUTH = np.array([120.0, 0.01, -20.0, 3.0])
@@ -28,23 +30,37 @@ CORRELATION[0, 3] = CORRELATION[3, 0] = -0.998
 COVARIANCE = CORRELATION * np.outer(STD, STD)
 
 
-def written(folder: Path, values: np.ndarray, *, rig: str | None, day: date) -> Path:
+def written(
+    folder: Path,
+    values: np.ndarray,
+    *,
+    rig: str | None,
+    day: date,
+    dataset: str | None = None,
+    hour: str = "08:00:00+00:00",
+    measurement: dict[str, object] | None = None,
+) -> Path:
+    """Write what history reads of a run; `dataset` is the digest, by default of a new one."""
     folder.mkdir(parents=True)
     document = {
         "format": 1,
-        "dataset": {"name": "my-rig", "sha256": "0" * 64},
+        "dataset": {
+            "name": "my-rig",
+            "sha256": dataset or sha256(str(folder).encode()).hexdigest(),
+        },
         "measurement": {
             "model": "axis-offset",
             "names": NAMES,
             "values": values.tolist(),
             "covariance": COVARIANCE.tolist(),
             "calibrated_depth_mm": [600, 1400],
+            **(measurement or {}),
         },
     }
     if rig is not None:
         document["rig"] = {"serial": rig}
     (folder / "calibration.json").write_text(json.dumps(document))
-    (folder / "run.toml").write_text(f'[run]\nfinished = "{day}T08:00:00+00:00"\n')
+    (folder / "run.toml").write_text(f'[run]\nfinished = "{day}T{hour}"\n')
     return folder
 
 
@@ -101,8 +117,10 @@ def test_the_rig_is_that_of_json_then_certificate_then_dataset(tmp_path: Path) -
         "<value>{serial}</value><name><content>serial number</content></name></identification>"
         "</identifications></item></items><endPerformanceDate>2019-05-06</endPerformanceDate></c>"
     )
-    for name, rig, serial in (("a", "A1", "C1"), ("b", None, "C1"), ("c", None, "0" * 64)):
-        folder = written(tmp_path / "runs" / name, TRUTH, rig=rig, day=date(2021, 1, 1))
+    for name, rig, serial in (("a", "A1", "C1"), ("b", None, "C1"), ("c", None, "c" * 64)):
+        folder = written(
+            tmp_path / "runs" / name, TRUTH, rig=rig, day=date(2021, 1, 1), dataset=name * 64
+        )
         (folder / "certificate.xml").write_text(certificate.format(serial=serial))
     update(index, [tmp_path / "runs"])
     assert {(rig, day) for rig, _, day in rigs(index)} == {
@@ -164,7 +182,11 @@ def test_due_counts_from_the_repair(tmp_path: Path) -> None:
     update(tmp_path / "i.sqlite", [fleet(tmp_path / "runs", of=1, each=8, step=0.02)])
     entries = history(tmp_path / "i.sqlite", "R000")
     drifting = due(entries, tolerance_mm=60.0)
-    repaired = due(entries, tolerance_mm=60.0, repaired=date.fromisoformat(entries[6].date))
+    kept = since(entries, date.fromisoformat(entries[6].date))
+    assert kept == entries[6:]
+    repaired = due(kept, tolerance_mm=60.0)
+    with pytest.raises(InputError, match="since it was repaired"):
+        since(entries, date(2030, 1, 1))
     assert drifting is not None
     assert repaired is not None
     assert drifting[1].interval < 90
@@ -230,3 +252,74 @@ def test_a_page_of_any_serial_stays_in_its_folder(serial: str) -> None:
     assert Path(name).name == name
     assert not name.startswith((".", "index.html"))
     assert name != page_name(serial + "x")
+
+
+def test_runs_of_one_dataset_are_one_calibration(tmp_path: Path) -> None:
+    """Else the same rows, calibrated thrice, make a reference of u / sqrt(3)."""
+    for k, hour in enumerate(("09:00:00+00:00", "12:00:00+02:00", "08:00:00+00:00")):
+        folder = tmp_path / "runs" / str(k)
+        values = TRUTH + 1e-3 * k * STD
+        written(folder, values, rig="R", day=date(2021, 1, 1), dataset="a" * 64, hour=hour)
+    update(tmp_path / "i.sqlite", [tmp_path / "runs"])
+    (only,) = history(tmp_path / "i.sqlite", "R")
+    assert only.path.endswith("/1")
+    assert rigs(tmp_path / "i.sqlite") == [("R", 1, "2021-01-01")]
+
+
+def test_calibrations_of_one_day_are_in_order_of_time(tmp_path: Path) -> None:
+    """As found before an adjustment and as left after it, whatever their folders are called."""
+    day = date(2021, 1, 1)
+    for name, hour in (("a", "12:00:00+00:00"), ("b", "23:00:00+14:00"), ("c", "11:00:00-02:00")):
+        written(tmp_path / "runs" / name, TRUTH, rig="R", day=day, hour=hour)
+    update(tmp_path / "i.sqlite", [tmp_path / "runs"])
+    entries = history(tmp_path / "i.sqlite", "R")
+    assert [Path(e.path).name for e in entries] == ["b", "a", "c"]
+    assert any("3 calibrations on 1 days" in note for note in notes(entries))
+
+
+@pytest.mark.parametrize(
+    ("measurement", "told"),
+    [
+        ({"covariance": np.zeros((4, 4)).tolist()}, "not above 0"),
+        ({"covariance": (-COVARIANCE).tolist()}, "not above 0"),
+        ({"covariance": np.triu(COVARIANCE).tolist()}, "not symmetric"),
+        ({"covariance": np.outer(STD, STD * [1, 1, -1, 1]).tolist()}, "not"),
+        ({"covariance": (2 * np.diag(STD**2) - np.outer(STD, STD)).tolist()}, "negative"),
+        ({"calibrated_depth_mm": [0, 0]}, "no range"),
+        ({"calibrated_depth_mm": [1400, 600]}, "no range"),
+        ({"names": [NAMES[0]] * 4}, "each once"),
+        ({"names": ["delta2_rad"], "values": [0.0], "covariance": [[1e-6]]}, "baseline_mm"),
+    ],
+)
+def test_impossible_calibrations_stay_out(
+    tmp_path: Path, measurement: dict[str, object], told: str
+) -> None:
+    folder = tmp_path / "runs" / "bad"
+    written(folder, TRUTH, rig="R", day=date(2021, 1, 1), measurement=measurement)
+    ((path, why),) = update(tmp_path / "i.sqlite", [tmp_path / "runs"]).unreadable
+    assert path == str(folder)
+    assert told in why
+
+
+def test_no_serial_obeys_or_vanishes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    index = ["--index", str(tmp_path / "i.sqlite")]
+    written(tmp_path / "runs" / "a", TRUTH, rig="\x1b[31mred\n", day=date(2021, 1, 1))
+    update(tmp_path / "i.sqlite", [tmp_path / "runs"])
+    assert main(["history", "show", *index]) == 0
+    assert main(["history", "show", "\x1b[31mred\n", *index]) == 0
+    assert "\x1b" not in capsys.readouterr().out
+    out = tmp_path / "pages"
+    assert main(["history", "page", "--rig", "nobody", "--out", str(out), *index]) == 2
+    assert "no rig 'nobody'" in capsys.readouterr().err
+    assert not out.exists()
+
+
+def test_a_date_far_ahead_is_told(tmp_path: Path) -> None:
+    for year in (1, 5000, 9999):
+        written(tmp_path / "runs" / str(year), TRUTH, rig="R", day=date(year, 12, 31))
+    update(tmp_path / "i.sqlite", [tmp_path / "runs"])
+    entries = history(tmp_path / "i.sqlite", "R")
+    assert any("in the future" in note for note in notes(entries))
+    found = due(entries, tolerance_mm=1e6)
+    assert found is not None
+    assert found[0] == date.max

@@ -167,6 +167,8 @@ def test_command(
         (("2026-01-02,A", "2026-01-02,E"), "A is not read"),
         (("2026-01-02,A", "2026-01-02,B"), "B is read twice|A is not read|twice"),
         (("date,", "day,"), "no column date"),
+        (("2026-01-02,B", "20260102T0000,A"), "A is read twice at 2026-01-02"),
+        (("2026-01-02,A", f"2026-01-02,{'A' * 200_000}"), "is no table"),
     ],
 )
 def test_bad_tables_are_refused_by_place(
@@ -175,6 +177,21 @@ def test_bad_tables_are_refused_by_place(
     text = readings(np.random.default_rng(0), 3).replace(*change, 1)
     with pytest.raises(InputError, match=told):
         check_standard(measuring, standard(), text, name="r.csv")
+
+
+def test_a_time_after_a_blank_is_a_time(measuring: Measuring) -> None:
+    text = readings(np.random.default_rng(0), 3).replace("2026-01-02,", "2026-01-02 08:00,")
+    assert check_standard(measuring, standard(), text, name="r.csv").dates == (
+        "2026-01-01", "2026-01-02T08:00:00", "2026-01-03",
+    )  # fmt: skip
+
+
+def test_two_targets_at_one_place_are_refused(measuring: Measuring) -> None:
+    """A length of 0 has no u, and charts of nan never alarm."""
+    rows = readings(np.random.default_rng(0), 3).splitlines()
+    rows[2] = rows[1].replace(",A,", ",B,")
+    with pytest.raises(InputError, match="2026-01-01: A and B have the same readings"):
+        check_standard(measuring, standard(), "\n".join(rows), name="r.csv")
 
 
 @pytest.mark.parametrize(

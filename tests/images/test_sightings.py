@@ -10,8 +10,8 @@ from calib.core.arrays import FloatArray
 from calib.dataset.tables import GazeTable
 from calib.geometry.board import Corners
 from calib.rows.common_errors import Shared
-from calib.rows.from_images import CornerNoise, observe_images
-from calib.rows.from_table import CameraSet, ImageObservations
+from calib.rows.from_images import LEAST_PX, CornerNoise, observe_images
+from calib.rows.from_table import U_PIXEL, CameraSet, ImageObservations
 
 INTRINSICS_PX = 0.02
 ROWS_PX = 0.08
@@ -41,7 +41,9 @@ def table(images: tuple[str, ...]) -> GazeTable:
     )
 
 
-def seen(c1: Corners, c2: Corners, cameras: CameraSet) -> ImageObservations:
+def seen(
+    c1: Corners, c2: Corners, cameras: CameraSet, stated: float | None = INTRINSICS_PX
+) -> ImageObservations:
     return observe_images(
         table(c1.images),
         scenes.BOARD,
@@ -49,7 +51,7 @@ def seen(c1: Corners, c2: Corners, cameras: CameraSet) -> ImageObservations:
         c2,
         None,
         Shared(),
-        CornerNoise(INTRINSICS_PX, INTRINSICS_PX),
+        CornerNoise(stated, stated),
         cameras,
     )
 
@@ -79,3 +81,11 @@ def test_one_misread_board_does_not_decide_the_noise(exact: scenes.Pairs) -> Non
 def test_without_a_lens_the_stated_noise_holds(exact: scenes.Pairs) -> None:
     far = scenes.noisy(np.random.default_rng(3), exact.c2, ROWS_PX)
     assert seen(exact.c1, far, CameraSet()).u_c2_px == INTRINSICS_PX
+
+
+def test_with_a_given_lens_the_images_of_rows_alone_tell_it(exact: scenes.Pairs) -> None:
+    far = scenes.noisy(np.random.default_rng(4), exact.c2, ROWS_PX)
+    found = seen(exact.c1, far, CameraSet(scenes.C1, scenes.C2), None)
+    assert found.u_c2_px == pytest.approx(ROWS_PX, rel=0.1)
+    assert found.u_c1_px == LEAST_PX
+    assert seen(exact.c1, far, CameraSet(), None).u_c2_px == U_PIXEL

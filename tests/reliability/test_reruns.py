@@ -27,7 +27,9 @@ ROBUST = {f"{model}/robust" for model in ("base", "axis-offset", "axis-tilt", "e
 POSTERIOR = {"base/posterior", "axis-offset/posterior"}
 TOLD = {"base/identifiability", "axis-offset/identifiability"}
 GROUPS = {"groups"}
-AFTER = {"comparison", "instrument", "average", "depths", "validation", "certified depths"}
+AFTER = {
+    "comparison", "diagnosis", "instrument", "average", "depths", "validation", "certified depths",
+}  # fmt: skip
 GAZE = OBSERVED | ROBUST | POSTERIOR | TOLD | GROUPS | AFTER
 ALL = GAZE | {"validation rows"}
 
@@ -159,7 +161,7 @@ def test_seed_changed(case: Case) -> None:
 
 
 def test_depths_changed(case: Case) -> None:
-    assert run(case.data, case.out, depths_mm=(300.0, 2000.0)) == {"average", "depths"}
+    assert run(case.data, case.out, depths_mm=(300.0, 2000.0)) == {"average", "depths", "diagnosis"}
 
 
 CODE = {

@@ -96,3 +96,20 @@ def test_an_encoding_that_lacks_a_letter(encoding: str, folder: Path) -> None:
     assert ended.returncode == 3
     assert "\\u03a9" in ended.stderr
     assert "Ω" in (folder / "o.csv").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("umask", "file", "directory"), [("077", 0o600, 0o700), ("027", 0o640, 0o750)]
+)
+def test_umask_is_honoured(umask: str, file: int, directory: int, folder: Path) -> None:
+    """Of files made anew and of folders: nobody reads what the user keeps to himself."""
+    made = shell(folder, f"umask {umask}; calib measure c.json t.csv --out o.csv")
+    made = (
+        shell(folder, f"umask {umask}; calib simulate rig --seed 1")
+        if not made.returncode
+        else made
+    )
+    assert made.returncode == 0, made.stderr
+    assert (folder / "o.csv").stat().st_mode & 0o777 == file
+    assert (folder / "rig").stat().st_mode & 0o777 == directory
+    assert {p.stat().st_mode & 0o777 for p in (folder / "rig").iterdir()} == {file}

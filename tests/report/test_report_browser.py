@@ -9,6 +9,7 @@ import csv
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 from browser import Browser, chromium
 from report_examples import everything
@@ -74,6 +75,7 @@ def test_the_folded_report_is_short_and_loses_nothing_unfolded_or_printed(report
         own.evaluate("document.querySelector('.everything').click()")
         assert own.evaluate(height) < 1.1 * folded
         own.call("Emulation.setEmulatedMedia", media="print")
+        _draw(own)
         hidden = (
             "Array.from(document.querySelectorAll('main table, main figure'))"
             ".filter(e => !e.checkVisibility({contentVisibilityAuto: true}) || !e.offsetHeight)"
@@ -146,17 +148,45 @@ def test_figures_tell_their_values_and_enlarge(browser: Browser) -> None:
     assert browser.evaluate("document.querySelector('dialog').open") is False
 
 
+def test_the_rig_turns_in_three_dimensions(browser: Browser) -> None:
+    canvas = "document.querySelector('canvas[data-scene]')"
+    scene = browser.evaluate(f"JSON.parse({canvas}.dataset.scene)")
+    assert len(scene["targets"]) == 6
+    assert len(scene["ellipsoids"]) >= 3
+    longest = [np.linalg.norm(e["axes"][0]) for e in scene["ellipsoids"]]
+    assert longest == sorted(longest)
+    inked = (
+        f"(() => {{ const c = {canvas}; const d = c.getContext('2d').getImageData(0, 0, c.width,"
+        "c.height).data; let n = 0, s = 0; for (let i = 3; i < d.length; i += 4)"
+        "if (d[i]) { n++; s += i; } return [n, s]; })()"
+    )
+    count, before = browser.evaluate(inked)
+    assert count > 2000
+    key = f"{canvas}.dispatchEvent(new KeyboardEvent('keydown', {{key: '%s'}}))"
+    browser.evaluate(key % "ArrowLeft")
+    assert browser.evaluate(inked)[1] != before
+    browser.evaluate(key % "m")
+    assert browser.evaluate(f"{canvas}.look.times") == 1
+
+
+def test_the_headline_has_one_value_everywhere(browser: Browser) -> None:
+    """Drawing, tile and table; the certificate has the same, see the chain's tests."""
+    tile = browser.evaluate("document.querySelector('.tiles dd.value').textContent")
+    row = browser.evaluate(
+        "Array.from(document.querySelectorAll('#parameters tbody tr')).map(r => r.textContent)"
+        ".find(t => t.includes('baseline seen at 90'))"
+    )
+    assert tile.removesuffix(" mm") in row
+    remark = browser.evaluate("document.querySelector('.tiles dd:last-child').textContent")
+    assert remark.partition("95 %: ")[2].removesuffix(" mm") in row
+
+
 def test_what_is_wider_than_a_narrow_window_says_so(report: Path) -> None:
     with chromium() as own:
         _size(own, 400, 860)
         own.go(report.as_uri())
         own.evaluate("document.querySelector('.everything').click()")
-        # Two frames, for the observers of sizes to be told.
-        own.call(
-            "Runtime.evaluate",
-            expression="new Promise(r => requestAnimationFrame(() => requestAnimationFrame(r)))",
-            awaitPromise=True,
-        )
+        _draw(own)
         silent = own.evaluate(
             "Array.from(document.querySelectorAll('.scroll'))"
             ".filter(s => s.scrollWidth > s.clientWidth + 1)"
@@ -178,6 +208,15 @@ def test_a_dark_window_gets_a_dark_page(report: Path) -> None:
         colour = "getComputedStyle(document.body).{}.match(/\\d+/g).map(Number)"
         assert max(own.evaluate(colour.format("backgroundColor"))) < 60
         assert min(own.evaluate(colour.format("color"))) > 200
+
+
+def _draw(browser: Browser) -> None:
+    """Let two frames pass: what hides and measures itself is then up to date."""
+    browser.call(
+        "Runtime.evaluate",
+        expression="new Promise(r => requestAnimationFrame(() => requestAnimationFrame(r)))",
+        awaitPromise=True,
+    )
 
 
 def _size(browser: Browser, width: int, height: int) -> None:

@@ -388,3 +388,21 @@ def test_many_rows_do_not_swell_the_page() -> None:
     text = render_report(many, context)
     assert len(text.encode()) < LIMIT_BYTES
     assert f"of {len(rows)} rows, evenly picked" in text
+
+
+def test_every_picture_is_listed_by_name_and_those_left_out_are_framed() -> None:
+    calibration, context = everything()
+    found = calibration.images.intrinsics["c1"]
+    residuals = found.selected.residuals.copy()
+    residuals[0] = np.nan
+    spoilt = replace(found, selected=replace(found.selected, residuals=residuals))
+    images = replace(calibration.images, intrinsics={**calibration.images.intrinsics, "c1": spoilt})
+    page = html.fromstring(render_report(replace(calibration, images=images), context))
+    (table,) = page.xpath("//table[caption='Pictures of C1']")
+    rows = [[cell.text_content().strip() for cell in row] for row in table.xpath(".//tbody/tr")]
+    assert [row[0] for row in rows] == list(found.images)
+    assert "left out" in rows[0][-1]
+    assert all("left out" not in row[-1] for row in rows[1:])
+    framed = page.xpath("//figure[@id='figure-pictures-c1']//li[@class='bad']/bdi/text()")
+    sheet = calibration.images.sheets["c1"]
+    assert (found.images[0] in framed) == (found.images[0] in sheet.names)

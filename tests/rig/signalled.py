@@ -6,6 +6,7 @@ Says "moving" when the axis moves, then, in order, what the signal brings about.
 from __future__ import annotations
 
 import math
+import signal
 import sys
 import threading
 
@@ -19,6 +20,8 @@ def say(*words):
 
 
 def main(device):
+    # Where this runs under nohup, a hang-up would be ignored from the start.
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
     settings = embedded().model_dump(exclude_none=True)
     settings["axis"] = {
         "driver": "ximc", "device": device, "reads": "counts", "resolution_deg": 0.05625,

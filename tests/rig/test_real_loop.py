@@ -37,12 +37,12 @@ def test_a_few_gazes_through_real_drivers_are_right(record_property):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [1, 2, 3])
-def test_gazes_through_real_drivers_err_as_they_say(record_property, seed):
-    found = gazes(record_property, seed, 48, timeout_s=900)
-    if found is None:
+def test_gazes_through_real_drivers_err_as_they_say(record_property):
+    found = [gazes(record_property, seed, 48, timeout_s=900) for seed in (1, 2, 3)]
+    if None in found:
         return
-    off, moves, _ = found
+    off, moves = (np.concatenate([each[k] for each in found]) for k in (0, 1))
     assert np.abs(off).max() < 4
+    # Of 144 scores the root mean square scatters by 0.06 about that of all.
     assert 0.8 < np.sqrt(np.mean(off**2)) < 1.2
     assert np.mean(moves) <= 3.2

@@ -152,7 +152,11 @@ def test_a_cluster_survives_the_death_of_a_worker(tmp_path: Path) -> None:
     The package's own warnings at shutdown are not ours to judge.
     """
     with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, processes=True, protocol="tcp://", dashboard_address=None
+        n_workers=2,
+        threads_per_worker=1,
+        processes=True,
+        protocol="tcp://",
+        dashboard_address="127.0.0.1:0",
     ) as cluster:
         assert cluster.scheduler_address.startswith("tcp://")
         with distributed.Client(cluster) as client:

@@ -199,7 +199,7 @@ def test_two_at_once_wait_for_each_other(machine: Machine) -> None:
 
 
 def test_a_killed_set_up_leaves_no_lock(machine: Machine) -> None:
-    first = machine.start(PIP_TAKES="30")
+    first = machine.start(PIP_TAKES="3")
     while not (machine.root / "begun").exists():
         time.sleep(0.02)
     first.kill()

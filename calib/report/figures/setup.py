@@ -40,17 +40,22 @@ RAYS = 40
 
 
 @in_house_style
-def draw_setup(rows: Observations, theta: FloatArray, free: tuple[str, ...]) -> Drawing:
+def draw_setup(
+    rows: Observations, theta: FloatArray, free: tuple[str, ...], *, effective: str = ""
+) -> Drawing:
     """Draw the symbols of the model, and the targets to scale.
 
     Parameters
     ----------
     theta, free
         The selected model: parameter vector, shape (COUNT,), and its free parameters.
+    effective
+        L_b + e with its 95 % interval, as printed everywhere; empty without an eccentricity, where
+        L_b is the same.
     """
     figure = new_figure(height_in=4.5, margins=Margins(left=0.2, bottom=0.6, top=0.3, between=0.25))
     sketch, plan = figure.subplots(1, 2, width_ratios=(1.15, 1.0))
-    _sketch(sketch, theta, free)
+    _sketch(sketch, theta, free, effective)
     _plan(plan, rows, theta)
     low, high = rows.z_mm.min(), rows.z_mm.max()
     x = rows.x1c * rows.z_mm
@@ -65,7 +70,7 @@ def draw_setup(rows: Observations, theta: FloatArray, free: tuple[str, ...]) -> 
     )
 
 
-def _sketch(axes: Axes, theta: FloatArray, free: tuple[str, ...]) -> None:
+def _sketch(axes: Axes, theta: FloatArray, free: tuple[str, ...], effective: str) -> None:
     """Draw the symbols, not to scale; signs of Z_a and e as found."""
     z_axis = _sign(theta, "axis_z_mm", free) * SKETCH_AXIS[1]
     offset = _sign(theta, "eccentricity_mm", free) * SKETCH_ECCENTRICITY
@@ -105,7 +110,14 @@ def _sketch(axes: Axes, theta: FloatArray, free: tuple[str, ...]) -> None:
         xticks=[],
         yticks=[],
     )
-    found = [f"{plain_symbol(name)} = {_mm(theta, name)}" for name in _DRAWN if name in free]
+    # L_b and e alone are often known far less well than their sum.
+    summed = () if not effective else ("baseline_mm", "eccentricity_mm")
+    found = [effective] if effective else []
+    found += [
+        f"{plain_symbol(name)} = {_mm(theta, name)}"
+        for name in _DRAWN
+        if name in free and name not in summed
+    ]
     axes.set_xlabel(", ".join(found) + "\n$α = α_2 + δ_2$, $α_2$ read by the encoder")
     axes.grid(visible=False)
     for edge in ("left", "bottom"):

@@ -14,6 +14,7 @@ from calib.report.blocks import (
     Cell,
     DefinitionList,
     Paragraph,
+    Scene,
     Section,
     Table,
     Text,
@@ -22,10 +23,21 @@ from calib.report.blocks import (
 )
 from calib.report.context import ReportContext
 from calib.report.figures.setup import draw_setup
-from calib.report.numbers import decimals, digits, estimate, places
+from calib.report.numbers import (
+    EFFECTIVE,
+    bounds,
+    decimals,
+    digits,
+    estimate,
+    places,
+    plain_symbol,
+    plus_minus,
+)
 from calib.report.plotting import picture
+from calib.report.scene import scene_data
 from calib.report.sections.pick import chosen_fit, contrasted, shown_rows
 from calib.results.calibration import Calibration, GazeResult
+from calib.results.fits_document import effective_baseline, effective_interval
 from calib.rows.observations import Observations
 
 
@@ -86,7 +98,7 @@ def _sketch(gaze: GazeResult) -> list[Block]:
     return [
         picture(
             "setup",
-            draw_setup(gaze.rows, fit.theta, fit.names),
+            draw_setup(gaze.rows, fit.theta, fit.names, effective=_effective(gaze, fit.names)),
             Markup(
                 "The rig from above. Left: the symbols, with the values of <em>{}</em>. The yaw "
                 "axis stands at X = <i>L</i><sub>b</sub>, Z = <i>Z</i><sub>a</sub>, and the gaze "
@@ -94,6 +106,37 @@ def _sketch(gaze: GazeResult) -> list[Block]:
                 "in one line with C1, or all at one depth, would not determine the calibration; a "
                 "target on the wrong side betrays a wrong sign of x1c."
             ).format(fit.model),
+        ),
+        *_scene(gaze, fit.theta),
+    ]
+
+
+def _effective(gaze: GazeResult, names: tuple[str, ...]) -> str:
+    """Return L_b + e with its 95 % interval for the drawing; empty without an eccentricity."""
+    fit = chosen_fit(gaze)
+    if fit is None or fit.model not in gaze.posterior:
+        return ""
+    p = gaze.posterior[fit.model]
+    found = effective_baseline(names, p.mean[:-1], p.covariance[:-1, :-1])
+    ends = effective_interval(names, p.flat)
+    if found is None or ends is None:
+        return ""
+    between = bounds(*ends, found[1]).text
+    return f"{plain_symbol(EFFECTIVE)} = {plus_minus(*found)} mm (95 %: {between})"
+
+
+def _scene(gaze: GazeResult, theta: np.ndarray) -> list[Block]:
+    """Return the rig in three dimensions."""
+    depths = () if gaze.evidence is None else gaze.evidence.depths
+    return [
+        Scene(
+            "rig",
+            scene_data(gaze.rows, theta, depths),
+            "The rig and its targets, to scale: drag or use the arrow keys to turn it, wheel or + "
+            "and − to zoom (the wheel after a click), point at a target for its place. Red: rays "
+            "of C1; blue: the yaw axis, and lines from it to the targets; green: 95 % "
+            "ellipsoids of position at the certified depths, enlarged as written in the corner "
+            "(key M: true size).",
         )
     ]
 

@@ -48,7 +48,11 @@ def detection(c: Calibration, _: ReportContext) -> Section | None:
             rows,
         ),
     ]
-    blocks += [_sheet(sheet) for _, sheet in sorted(c.images.sheets.items()) if sheet.names]
+    blocks += [
+        _sheet(sheet, _left_out(c, camera))
+        for camera, sheet in sorted(c.images.sheets.items())
+        if sheet.names
+    ]
     return Section("detection", "Boards in the pictures", tuple(blocks))
 
 
@@ -68,7 +72,17 @@ def _row(camera: str, corners: Corners) -> tuple[Cell, ...]:
     )
 
 
-def _sheet(sheet: ContactSheet) -> PictureSheet:
+def _left_out(c: Calibration, camera: str) -> frozenset[str]:
+    """Return the pictures of a camera of which the intrinsics rejected most corners."""
+    if camera not in c.images.intrinsics:
+        return frozenset()
+    found = c.images.intrinsics[camera]
+    known = seen(c.images.corners[camera].select(found.images).pixels).sum(axis=-1)
+    kept = seen(found.selected.residuals).sum(axis=-1)
+    return frozenset(found.images[i] for i in np.flatnonzero(2 * kept < known))
+
+
+def _sheet(sheet: ContactSheet, rejected: frozenset[str]) -> PictureSheet:
     left_out = f"; {sheet.left_out} more are not shown" if sheet.left_out else ""
     return PictureSheet(
         key=f"pictures-{sheet.camera}",
@@ -76,12 +90,19 @@ def _sheet(sheet: ContactSheet) -> PictureSheet:
         "their crossings, or a board read from the wrong end, spoil what follows; a board not "
         "found is blurred, too small, or partly covered.",
         pictures=tuple(
-            Thumbnail(_jpeg(picture), name, detector, mark="bad" if detector == NOT_FOUND else "")
+            Thumbnail(_jpeg(picture), name, detector, fault=_fault(name, detector, rejected))
             for name, detector, picture in zip(
                 sheet.names, sheet.detectors, sheet.pictures, strict=True
             )
         ),
     )
+
+
+def _fault(name: str, detector: str, rejected: frozenset[str]) -> str:
+    """Return why a picture is framed; empty for one that is used."""
+    if detector == NOT_FOUND:
+        return "no board found"
+    return "left out: contradicts the others" if name in rejected else ""
 
 
 def _jpeg(picture: np.ndarray) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from calib.diagnosis.engine import DECISIVE, Attempt, Cause, Diagnosis
+from calib.diagnosis.structure import structured
 from calib.report.blocks import Block, Items, Notice, Paragraph, Section, number, table, words
 from calib.report.context import ReportContext
 from calib.report.figures.diagnosis import draw_cause
@@ -31,6 +32,8 @@ def diagnosis(c: Calibration, _: ReportContext) -> Section | None:
         )
     if found.tried:
         blocks.append(_table(found))
+    if found.structure:
+        blocks.append(_structure(found))
     return Section("diagnosis", "What may have been done wrong", tuple(blocks))
 
 
@@ -84,6 +87,24 @@ def _table(found: Diagnosis) -> Block:
     return table(
         f"Mistakes tried (evidence in nats; named from {DECISIVE:g})",
         ("Mistake", "Where", "Estimate", "Evidence"),
+        rows,
+        sortable=True,
+    )
+
+
+def _structure(found: Diagnosis) -> Block:
+    shown = structured(found.structure)
+    rows = [
+        (
+            words(test.against, mark="bad" if test is shown else ""),
+            words(test.at or ""),
+            number(significant(test.probability, digits=2), test.probability),
+        )
+        for test in found.structure
+    ]
+    return table(
+        "Residuals against what they should not follow",
+        ("Against", "From row", "Probability by chance"),
         rows,
         sortable=True,
     )

@@ -13,6 +13,7 @@ from calib.report.blocks import (
     Block,
     Cell,
     DefinitionList,
+    Fold,
     Paragraph,
     Section,
     Table,
@@ -98,7 +99,53 @@ def _camera(i: Intrinsics, corners: FloatArray) -> list[Block]:
             "others is a bad picture; all far above the fitted rms is too few views.",
         ),
         _validation(i),
+        Fold(f"All {len(i.images)} pictures of {name} by name", (_pictures(i, corners),)),
     ]
+
+
+def _pictures(i: Intrinsics, corners: FloatArray) -> Table:
+    """Return each picture by name with its corners and residuals."""
+    found = np.isfinite(corners).all(axis=-1).sum(axis=-1)
+    kept = np.isfinite(i.selected.residuals).all(axis=-1).sum(axis=-1)
+    rows = [
+        (
+            words(image),
+            number(str(int(found[k])), int(found[k])),
+            number(str(int(found[k] - kept[k])), int(found[k] - kept[k])),
+            decimals(_rms_of(i.selected.residuals[k]), 3),
+            decimals(_largest(i.selected.residuals[k]), 2),
+            _state(int(found[k]), int(kept[k])),
+        )
+        for k, image in enumerate(i.images)
+    ]
+    heads = ("Picture", "Corners", "Rejected", "rms / px", "Largest residual / px", "Used")
+    return table(
+        f"Pictures of {i.name.upper()}",
+        heads,
+        rows,
+        note=f'A picture that spoils more than it tells is left out by exclude = ["..."] in '
+        f"[cameras.{i.name}], by the name given here.",
+        sortable=True,
+    )
+
+
+def _rms_of(residuals: FloatArray) -> float:
+    known = residuals[np.isfinite(residuals)]
+    return float(np.sqrt(np.mean(known**2))) if len(known) else float("nan")
+
+
+def _largest(residuals: FloatArray) -> float:
+    known = residuals[np.isfinite(residuals).all(axis=-1)]
+    return float(np.hypot(*known.T).max()) if len(known) else float("nan")
+
+
+def _state(found: int, kept: int) -> Cell:
+    """Return whether a picture is used."""
+    if not found:
+        return words("no board found", mark="caution")
+    if 2 * kept < found:
+        return words("left out: contradicts the others", mark="bad")
+    return words("yes")
 
 
 def _fits(i: Intrinsics) -> Table:

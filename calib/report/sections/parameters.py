@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from dataclasses import replace
 
 import numpy as np
 from markupsafe import Markup
@@ -48,6 +49,7 @@ def parameters(c: Calibration, context: ReportContext) -> Section | None:
     if c.gaze is None or not c.gaze.posterior:
         return None
     gaze = c.gaze
+    context = replace(context, scaled_priors=gaze.default_priors)
     blocks: list[Block] = [
         Paragraph(
             Markup(
@@ -174,6 +176,9 @@ def _prior(name: str, measured: Collection[str], context: ReportContext) -> str:
     known = " and measured by the sweep" if name in measured else ""
     stated = context.priors.get(name)
     std = PARAMETERS[INDEX[name]].prior_std
+    if stated is None and name in context.scaled_priors:
+        text = plus_minus(*context.scaled_priors[name], factor=factor(name))
+        return f"{text} {unit(name)}".rstrip() + f" (default, scaled to the baseline){known}"
     if stated is not None:
         text = plus_minus(*stated, factor=factor(name))
     elif std is not None:

@@ -201,3 +201,116 @@ for (const image of document.querySelectorAll("figure img")) {
     }
   });
 }
+
+// The rig in three dimensions: parallel projection, X right, Y down, Z away at first seen from above.
+for (const canvas of document.querySelectorAll("canvas[data-scene]")) {
+  const scene = JSON.parse(canvas.dataset.scene);
+  const pen = canvas.getContext("2d");
+  const { point, direction } = scene.axis;
+  const every = [[0, 0, 0], point, ...scene.targets.map((t) => t.at), ...scene.ellipsoids.map((e) => e.at)];
+  const spans = [0, 1, 2].map((i) => every.map((p) => p[i])).map((v) => [Math.min(...v), Math.max(...v)]);
+  const centre = spans.map(([low, high]) => (low + high) / 2);
+  const size = Math.max(...spans.map(([low, high]) => high - low), 1);
+  const longest = Math.max(...scene.ellipsoids.map((e) => Math.hypot(...e.axes[0])), 1e-9);
+  // So much larger that the longest half axis is a twelfth of the scene; 1, 2 or 5 times a power of ten.
+  const wanted = Math.max(size / 12 / longest, 1);
+  const power = 10 ** Math.floor(Math.log10(wanted));
+  const enlarged = power * [5, 2, 1].find((step) => step * power <= wanted);
+  const look = { turn: -0.5, tilt: 0.6, zoom: 1.3, times: enlarged };
+  canvas.look = look;
+  let seen = [];
+  const project = (p) => {
+    const [x, y, z] = p.map((v, i) => v - centre[i]);
+    const [ct, st, cp, sp] = [Math.cos(look.turn), Math.sin(look.turn), Math.cos(look.tilt), Math.sin(look.tilt)];
+    const [across, away] = [ct * x + st * z, -st * x + ct * z];
+    const scale = (0.8 * Math.min(canvas.width, canvas.height) * look.zoom) / size;
+    return [canvas.width / 2 + scale * across, canvas.height / 2 + scale * (cp * y - sp * away)];
+  };
+  const line = (points, colour, width = 1) => {
+    pen.strokeStyle = colour;
+    pen.lineWidth = width;
+    pen.beginPath();
+    points.map(project).forEach(([x, y], i) => (i ? pen.lineTo(x, y) : pen.moveTo(x, y)));
+    pen.stroke();
+  };
+  const dot = (p, colour, radius, text = "") => {
+    const [x, y] = project(p);
+    pen.fillStyle = colour;
+    pen.beginPath();
+    pen.arc(x, y, radius, 0, 2 * Math.PI);
+    pen.fill();
+    if (text) pen.fillText(text, x + 8, y - 6);
+    return [x, y];
+  };
+  const sum = (p, ...more) => p.map((v, i) => more.reduce((total, [k, d]) => total + k * d[i], v));
+  const draw = () => {
+    const ink = getComputedStyle(document.body).color;
+    pen.clearRect(0, 0, canvas.width, canvas.height);
+    pen.font = "15px sans-serif";
+    for (const { at } of scene.targets) {
+      line([[0, 0, 0], at], "rgb(213 94 0 / .45)");
+      line([point, at], "rgb(0 114 178 / .45)");
+    }
+    const reach = size / 5;
+    line([sum(point, [-reach, direction]), sum(point, [reach, direction])], "#0072b2", 3);
+    [["X", [1, 0, 0]], ["Y", [0, 1, 0]], ["Z", [0, 0, 1]]].forEach(([name, unit]) => {
+      const end = sum([0, 0, 0], [size / 8, unit]);
+      line([[0, 0, 0], end], ink, 1.5);
+      const [x, y] = project(end);
+      pen.fillStyle = ink;
+      pen.fillText(name, x + 4, y + 4);
+    });
+    for (const { at, axes } of scene.ellipsoids) {
+      for (const [a, b] of [[0, 1], [0, 2], [1, 2]]) {
+        const ring = Array.from({ length: 49 }, (_, i) => (i * Math.PI) / 24);
+        line(ring.map((w) => sum(at, [look.times * Math.cos(w), axes[a]], [look.times * Math.sin(w), axes[b]])), "#009e73", 1.2);
+      }
+    }
+    seen = scene.targets.map((t) => [...dot(t.at, ink, 3.5), `${t.name}: X ${t.at[0].toFixed(1)}, Y ${t.at[1].toFixed(1)}, Z ${t.at[2].toFixed(1)} mm`]);
+    dot([0, 0, 0], "#d55e00", 6, "C1");
+    dot(point, "#0072b2", 6, "yaw axis");
+    pen.fillStyle = ink;
+    if (scene.ellipsoids.length) pen.fillText(`ellipsoids ×${look.times}`, 10, canvas.height - 12);
+  };
+  const zoomBy = (factor) => {
+    look.zoom = Math.min(Math.max(look.zoom * factor, 0.3), 60);
+    draw();
+  };
+  const turnBy = (x, y) => {
+    look.turn += x;
+    look.tilt = Math.min(Math.max(look.tilt + y, -1.57), 1.57);
+    draw();
+  };
+  canvas.addEventListener("pointerdown", (event) => canvas.setPointerCapture(event.pointerId));
+  canvas.addEventListener("pointermove", (event) => {
+    if (canvas.hasPointerCapture(event.pointerId)) turnBy(event.movementX / 150, event.movementY / 150);
+    const box = canvas.getBoundingClientRect();
+    const [x, y] = [(event.clientX - box.left) * (canvas.width / box.width), (event.clientY - box.top) * (canvas.height / box.height)];
+    const near = seen.find(([px, py]) => Math.hypot(px - x, py - y) < 12);
+    tip.hidden = !near;
+    if (!near) return;
+    tip.textContent = near[2];
+    document.body.append(tip);
+    tip.style.left = `${Math.min(event.clientX + 12, innerWidth - tip.offsetWidth - 4)}px`;
+    tip.style.top = `${event.clientY + 12}px`;
+  });
+  canvas.addEventListener("pointerleave", () => { tip.hidden = true; });
+  canvas.addEventListener("wheel", (event) => {
+    if (document.activeElement !== canvas) return;
+    event.preventDefault();
+    zoomBy(event.deltaY < 0 ? 1.15 : 0.87);
+  }, { passive: false });
+  const keys = {
+    ArrowLeft: () => turnBy(-0.1, 0), ArrowRight: () => turnBy(0.1, 0),
+    ArrowUp: () => turnBy(0, -0.1), ArrowDown: () => turnBy(0, 0.1),
+    "+": () => zoomBy(1.15), "-": () => zoomBy(0.87),
+    m: () => { look.times = look.times === 1 ? enlarged : 1; draw(); },
+  };
+  keys.M = keys.m;
+  canvas.addEventListener("keydown", (event) => {
+    if (!keys[event.key]) return;
+    event.preventDefault();
+    keys[event.key]();
+  });
+  draw();
+}

@@ -8,8 +8,8 @@ from typing import Annotated, Literal
 from pydantic import ConfigDict, Field, model_validator
 
 from calib.dataset.fields import Line, NotNegative, Number, Positive, refuse
-from calib.dataset.manifest import Section
 from calib.dataset.messages import shown, suggestion
+from calib.dataset.section import Section
 from calib.geometry.parameters import NAMES
 
 Share = Annotated[Number, Field(ge=0, le=1)]

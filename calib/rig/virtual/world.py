@@ -81,13 +81,7 @@ class World:
         self.settings = settings
         self.clock = clock
         self.rig = true_rig(settings)
-        far = self.rig.depth_range_mm[1]
-        self.sheet = sheet(
-            settings.virtual.target,
-            _board(settings, self.rig),
-            pixel_mm=far / float(self.rig.c1.matrix[0, 0]),
-        )
-        self.board = self.sheet.board
+        self.take_up(settings.virtual.target)
         self._yaw: Callable[[Nanoseconds], float] = lambda _: math.pi / 2
         self._placed: tuple[Placed, ...] = ()
         self._lock = threading.Lock()
@@ -97,6 +91,16 @@ class World:
     def turn_by(self, yaw: Callable[[Nanoseconds], float]) -> None:
         """Let C2's true yaw, as a reading without error, rad, be what `yaw` says of a moment."""
         self._yaw = yaw
+
+    def take_up(self, target: str) -> None:
+        """Let another target stand before the rig from now on; see `VirtualSettings.target`."""
+        far = self.rig.depth_range_mm[1]
+        self.sheet = sheet(
+            target,
+            _board(self.settings, self.rig),
+            pixel_mm=far / float(self.rig.c1.matrix[0, 0]),
+        )
+        self.board = self.sheet.board
 
     def place(self, pose: FloatArray) -> None:
         """Put the board at rest at a pose in C1, shape (4, 4), mm, from now on."""

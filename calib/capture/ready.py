@@ -1,0 +1,60 @@
+"""What must be known before rows can be captured: how good a reading is, and C2's lens."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from calib.capture.description import Description
+from calib.core.errors import UsageError
+from calib.dataset.manifest import Manifest
+from calib.geometry.camera import Camera
+from calib.rig.check_file import check_path, read_check
+from calib.rig.devices import RigDevices
+from calib.rig.protocols import RigError
+
+
+def reading_uncertainty(rig: RigDevices, rig_file: Path | None) -> float:
+    """Return the standard uncertainty of a reading, deg, as the check of the rig found it.
+
+    Raises
+    ------
+    UsageError, RigError
+        If the rig was never checked and rig.toml states none, or the check found it unfit.
+    """
+    where = check_path(rig_file)
+    check = read_check(where, serial=rig.serial)
+    if check is None:
+        stated = rig.settings.axis.u_alpha2_deg
+        if stated is not None:
+            return stated
+        raise UsageError(
+            f"{where}: is not there, and without it nobody knows how good a reading is; run "
+            f"`calib rig check{f' {rig_file}' if rig_file else ''}` first"
+        )
+    if check.failed:
+        details = "; ".join(f"{one.name}: {one.detail}" for one in check.failed)
+        raise RigError(f"{where}: the rig is not fit: {details}")
+    return check.u_alpha2_deg
+
+
+def lens_c2(known: Description, manifest: Manifest | None) -> Camera:
+    """Return C2's lens, from rig.toml or the dataset: without it nothing can be centred.
+
+    Raises
+    ------
+    UsageError
+        If neither has it.
+    """
+    if "c2" in known.lenses:
+        return known.lenses["c2"]
+    section = None if manifest is None else manifest.camera("c2")
+    if section is not None and section.matrix is not None:
+        distortion = np.array(section.distortion or ())
+        return Camera(np.array(section.matrix), distortion, known.sizes["c2"])
+    raise UsageError(
+        "C2's lens is not known, so that targets cannot be centred; add matrix and distortion to "
+        "[cameras.c2] of rig.toml, from its pictures of a board (`calib calibrate` on a dataset "
+        "with [cameras.c2] images)"
+    )

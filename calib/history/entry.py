@@ -1,0 +1,217 @@
+"""One calibration of a history, read from its folder.
+
+Which rig a calibration belongs to: the serial number in calibration.json; without it the serial
+number on the certificate beside it; without either the name of the dataset. When: the date of
+calibration on the certificate (that of issue where none is stated); without a certificate the
+date in run.toml.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import tomllib
+from dataclasses import dataclass
+from datetime import UTC, date, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from lxml import etree
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from calib.core.arrays import FloatArray
+from calib.core.seal import is_edited
+from calib.geometry.parameters import INDEX
+
+RESULT, CERTIFICATE, RUN = "calibration.json", "certificate.xml", "run.toml"
+
+ROUNDING = 1e-6
+"""Of correlations."""
+
+_DCC = {"dcc": "https://ptb.de/dcc"}
+_SERIAL = (
+    "//dcc:items/dcc:item/dcc:identifications/dcc:identification"
+    "[dcc:name/dcc:content='serial number']/dcc:value/text()"
+)
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One calibration in the index.
+
+    Parameters
+    ----------
+    path
+        Of its folder, absolute.
+    sha256
+        Of calibration.json.
+    rig, date
+        Serial number or what stands in for it, and ISO 8601 date.
+    dataset, model
+        Names of dataset and selected model.
+    range_mm
+        Calibrated depths.
+    names, values, covariance
+        Free parameters, shapes (p,), (p,), (p, p), in the units of calibration.json.
+    dataset_sha256
+        Of the dataset: two runs of one dataset are one calibration.
+    finished
+        When the run ended, ISO 8601 in UTC, empty where unknown: the order of calibrations on one
+        day.
+    """
+
+    path: str
+    sha256: str
+    rig: str
+    date: str
+    dataset: str
+    model: str
+    range_mm: tuple[float, float]
+    names: tuple[str, ...]
+    values: FloatArray
+    covariance: FloatArray
+    dataset_sha256: str
+    finished: str
+
+
+class _Lenient(BaseModel):
+    model_config = ConfigDict(extra="ignore", allow_inf_nan=False)
+
+
+class _Measurement(_Lenient):
+    model: str
+    names: tuple[str, ...]
+    values: tuple[float, ...]
+    covariance: tuple[tuple[float, ...], ...]
+    calibrated_depth_mm: tuple[float, float]
+
+
+class _Dataset(_Lenient):
+    name: str
+    sha256: str
+
+
+class _Rig(_Lenient):
+    serial: str | None = None
+
+
+class _Gate(_Lenient):
+    name: str
+    passed: bool
+
+
+class _Document(_Lenient):
+    format: int
+    gates: tuple[_Gate, ...] = ()
+    dataset: _Dataset
+    measurement: _Measurement
+    rig: _Rig | None = None
+
+
+def read_entry(folder: Path) -> Entry:
+    """Return the entry of one folder.
+
+    Raises
+    ------
+    ValueError
+        If its calibration cannot be read; the text says why.
+    """
+    try:
+        content = (folder / RESULT).read_bytes()
+        document = _Document.model_validate_json(content)
+    except OSError as error:
+        raise ValueError(error.strerror or str(error)) from error
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in first["loc"]) or "the file"
+        raise ValueError(f"{where}: {first['msg']}") from error
+    failed = [gate.name for gate in document.gates if not gate.passed]
+    if failed:
+        raise ValueError(f"must not be used: gate {', '.join(failed)} failed")
+    if is_edited(json.loads(content)):
+        raise ValueError("was edited after the run that wrote it")
+    m = document.measurement
+    values, covariance = np.array(m.values), np.array([list(row) for row in m.covariance])
+    n = len(m.names)
+    if document.format != 1:
+        raise ValueError(f"format {document.format} is not known")
+    if values.shape != (n,) or covariance.shape != (n, n) or not set(m.names) <= set(INDEX):
+        raise ValueError("measurement: names, values and covariance do not belong together")
+    _refuse_impossible(m, covariance)
+    finished = _finished(folder)
+    serial, dated = _certified(folder, document.dataset.sha256)
+    stated = document.rig.serial if document.rig is not None else None
+    return Entry(
+        path=str(folder),
+        sha256=hashlib.sha256(content).hexdigest(),
+        rig=stated or serial or document.dataset.name,
+        date=_iso(dated or finished[:10] or _no_date()),
+        dataset=document.dataset.name,
+        model=m.model,
+        range_mm=m.calibrated_depth_mm,
+        names=m.names,
+        values=values,
+        covariance=covariance,
+        dataset_sha256=document.dataset.sha256,
+        finished=_utc(finished),
+    )
+
+
+def _refuse_impossible(m: _Measurement, covariance: FloatArray) -> None:
+    """Raise if no rig can have such a calibration: its charts would show no number, or a lie."""
+    if len(set(m.names)) < len(m.names) or "baseline_mm" not in m.names:
+        raise ValueError("measurement.names: baseline_mm and others, each once, are needed")
+    scale = np.sqrt(np.abs(np.diagonal(covariance)))
+    if not np.all(np.diagonal(covariance) > 0):
+        raise ValueError("measurement.covariance: a variance is not above 0")
+    correlation = covariance / np.outer(scale, scale)
+    if not np.allclose(correlation, correlation.T, rtol=0, atol=ROUNDING):
+        raise ValueError("measurement.covariance: is not symmetric")
+    if np.linalg.eigvalsh(correlation)[0] < -ROUNDING:
+        raise ValueError("measurement.covariance: has a negative eigenvalue")
+    near, far = m.calibrated_depth_mm
+    if not 0 < near <= far:
+        raise ValueError(f"measurement.calibrated_depth_mm: {near:g} to {far:g} is no range")
+
+
+def _certified(folder: Path, dataset_sha256: str) -> tuple[str | None, str | None]:
+    """Return serial number and date of the certificate beside a calibration, as far as stated."""
+    parser = etree.XMLParser(resolve_entities=False, no_network=True)
+    try:
+        root = etree.parse(folder / CERTIFICATE, parser).getroot()
+    except (OSError, etree.XMLSyntaxError):
+        return None, None
+    serials: Any = root.xpath(_SERIAL, namespaces=_DCC)
+    dated = root.findtext(".//dcc:endPerformanceDate", namespaces=_DCC)
+    found = str(serials[0]).strip() if serials else None
+    # Where no serial number is stated, the certificate identifies the item by its dataset.
+    return None if found in (None, "", "not stated", dataset_sha256) else found, dated
+
+
+def _finished(folder: Path) -> str:
+    """Return when a run ended, as run.toml has it; empty where it does not say."""
+    try:
+        run: dict[str, Any] = tomllib.loads((folder / RUN).read_text(encoding="utf-8"))
+        return str(run["run"]["finished"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return ""
+
+
+def _no_date() -> str:
+    raise ValueError(f"no date: neither {CERTIFICATE} nor {RUN} states one")
+
+
+def _utc(text: str) -> str:
+    """Return a time as one that sorts, in UTC; empty for what is none."""
+    try:
+        return datetime.fromisoformat(text).astimezone(UTC).isoformat()
+    except (ValueError, OverflowError):
+        return ""
+
+
+def _iso(text: str) -> str:
+    try:
+        return date.fromisoformat(text).isoformat()
+    except ValueError:
+        raise ValueError(f"{text!r} is not a date") from None

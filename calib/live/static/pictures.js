@@ -1,0 +1,57 @@
+// A picture with its marks: centre column, target.
+const frames = { c1: 0, c2: 0 };
+
+export async function draw(data, $) {
+  const view = new DataView(data);
+  const length = view.getUint32(0);
+  const head = JSON.parse(new TextDecoder().decode(new Uint8Array(data, 4, length)));
+  const came = performance.now();
+  const bitmap = await createImageBitmap(new Blob([new Uint8Array(data, 4 + length)], { type: "image/jpeg" }));
+  const canvas = $(head.camera);
+  const [width, height] = head.size;
+  if (canvas.width !== width || canvas.height !== height) { canvas.width = width; canvas.height = height; }
+  const pen = canvas.getContext("2d");
+  pen.drawImage(bitmap, 0, 0);
+  bitmap.close();
+  const unit = width / 640;
+  if (head.centre !== null) column(pen, head.centre, height, unit);
+  if (head.target) mark(pen, head.target, unit);
+  frames[head.camera] += 1;
+  canvas.dataset.frames = frames[head.camera];
+  const age = head.age_ms + performance.now() - came;
+  canvas.dataset.age = age.toFixed(1);
+  canvas.dataset.target = head.target ? head.target.join(" ") : "";
+  const seen = head.target ? `target at ${head.target[0].toFixed(1)}, ${head.target[1].toFixed(1)} px` : "target not seen";
+  $(`${head.camera}-text`).textContent = `${seen} · ${age.toFixed(0)} ms old`;
+  canvas.setAttribute("aria-label", `Picture of ${head.camera.toUpperCase()}: ${seen}`);
+  return head.camera;
+}
+
+function column(pen, u, height, unit) {
+  pen.lineWidth = 1.5 * unit;
+  pen.setLineDash([9 * unit, 7 * unit]);
+  pen.strokeStyle = "#21d07a";
+  pen.beginPath();
+  pen.moveTo(u, 0);
+  pen.lineTo(u, height);
+  pen.stroke();
+  pen.setLineDash([]);
+}
+
+function mark(pen, [u, v], unit) {
+  const cross = () => {
+    pen.beginPath();
+    pen.arc(u, v, 15 * unit, 0, 2 * Math.PI);
+    for (const [x, y] of [[1, 0], [-1, 0], [0, 1], [0, -1]]) {
+      pen.moveTo(u + 8 * unit * x, v + 8 * unit * y);
+      pen.lineTo(u + 24 * unit * x, v + 24 * unit * y);
+    }
+    pen.stroke();
+  };
+  pen.lineWidth = 5 * unit;
+  pen.strokeStyle = "rgba(255,255,255,.85)";
+  cross();
+  pen.lineWidth = 2.2 * unit;
+  pen.strokeStyle = "#e0007f";
+  cross();
+}

@@ -1,0 +1,167 @@
+"""Pictures to look at: the newest of a camera as JPEG, with the target marked; never measured."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+import cv2
+
+from calib.core.errors import CalibError
+from calib.gaze.target import Target
+from calib.rig.clock import Clock
+from calib.rig.protocols import Camera, Frame
+
+INTERVAL_S: Final = 0.1
+SHARE: Final = 0.5
+"""A stream rests for at least its own work divided by this: measuring goes before looking."""
+
+REST_MAX_S: Final = 1.0
+
+IDLE_S: Final = 5.0
+"""A camera that has nothing new is looked at for so long after the last page has asked; pages that
+wait ask again meanwhile."""
+
+SAME_S: Final = 0.25
+QUALITY: Final = 80
+
+
+@dataclass(frozen=True)
+class Shown:
+    """A picture as pages get it.
+
+    Parameters
+    ----------
+    number
+        Grows from picture to picture.
+    serial
+        The camera's number of the frame.
+    jpeg
+        The picture.
+    size
+        Width and height, px.
+    exposed_ns
+        As the camera's driver puts it, by the rig's clock.
+    target
+        Where the target is, px; None if it is not seen.
+    centre_px
+        The camera's centre column, px; None to draw none.
+    """
+
+    number: int
+    serial: int
+    jpeg: bytes
+    size: tuple[int, int]
+    exposed_ns: int
+    target: tuple[float, float] | None
+    centre_px: float | None
+
+
+class Stream:
+    """One camera's pictures, made while somebody asks for them.
+
+    Parameters
+    ----------
+    camera
+        The device.
+    clock
+        The rig's.
+    target
+        Returns what is to be marked; None marks nothing.
+    centre
+        Returns the centre column, px; None draws none.
+    """
+
+    def __init__(
+        self,
+        camera: Camera,
+        clock: Clock,
+        target: Callable[[], Target | None],
+        centre: Callable[[], float | None],
+    ) -> None:
+        self._camera = camera
+        self._clock = clock
+        self._target = target
+        self._centre = centre
+        self._asked = threading.Event()
+        self._asked_at = 0.0
+        self._closing = threading.Event()
+        self._listeners: list[Callable[[], None]] = []
+        self._thread = threading.Thread(target=self._run, name="stream", daemon=True)
+        self.shown: Shown | None = None
+        self.fault = ""
+
+    def start(self) -> None:
+        """Begin."""
+        self._thread.start()
+
+    def close(self) -> None:
+        """End, before the camera is closed."""
+        self._closing.set()
+        self._asked.set()
+        self._thread.join(timeout=10.0)
+
+    def listen(self, listener: Callable[[], None]) -> None:
+        """Call `listener` when there is a new picture, from the stream's thread."""
+        self._listeners.append(listener)
+
+    def ask(self) -> None:
+        """Say that somebody waits for a picture."""
+        self._asked_at = time.monotonic()
+        self._asked.set()
+
+    def age_ms(self, shown: Shown) -> float:
+        """Return how old a picture is now, ms."""
+        return max(0.0, (self._clock.now_ns() - shown.exposed_ns) / 1e6)
+
+    def _run(self) -> None:
+        while True:
+            self._asked.wait()
+            if self._closing.is_set():
+                return
+            # Cleared before the picture is taken: who asks from now on wants the one after it.
+            self._asked.clear()
+            began = time.monotonic()
+            is_new = self._next()
+            ended = time.monotonic()
+            if not is_new and ended - self._asked_at < IDLE_S:
+                self._asked.set()
+            worked = ended - began
+            rest = max(INTERVAL_S if is_new else SAME_S, worked / SHARE) - worked
+            self._closing.wait(min(rest, REST_MAX_S))
+
+    def _next(self) -> bool:
+        """Make the next picture; return whether it is another one."""
+        try:
+            frame = self._camera.latest()
+        except (CalibError, OSError) as error:
+            self.fault = str(error)
+            return False
+        before = self.shown
+        if frame is None or (before is not None and before.serial == frame.serial):
+            return False
+        self.shown = self._made(frame, 1 if before is None else before.number + 1)
+        for listener in self._listeners:
+            listener()
+        return True
+
+    def _made(self, frame: Frame, number: int) -> Shown:
+        target = self._target()
+        sighting = None if target is None else target.find(frame.pixels)
+        _, data = cv2.imencode(".jpg", frame.pixels, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
+        height, width = frame.pixels.shape
+        found = None
+        if sighting is not None:
+            found = (float(sighting.pixel[0]), float(sighting.pixel[1]))
+        return Shown(
+            number=number,
+            serial=frame.serial,
+            jpeg=data.tobytes(),
+            size=(width, height),
+            exposed_ns=frame.exposed_ns,
+            target=found,
+            centre_px=self._centre(),
+        )

@@ -1,0 +1,261 @@
+"""The page in a real browser: pictures, Stop, who has the motor.
+
+Evidence: simulated truth, which only this test reads: where C2 stands is what the world says.
+"""
+
+from __future__ import annotations
+
+import csv
+import http.server
+import json
+import shutil
+import sys
+import threading
+import time
+from pathlib import Path
+
+import pytest
+from live_server import live, settings
+from playwright.sync_api import sync_playwright
+from websockets.sync.client import connect
+
+from calib.geometry.camera import project
+
+LONG_MS = 60_000
+
+
+@pytest.fixture(scope="module")
+def browser():
+    binary = shutil.which("chromium")
+    assert binary is not None, "chromium is missing; `make test` installs it"
+    with sync_playwright() as playwright:
+        opened = playwright.chromium.launch(executable_path=binary, args=["--no-sandbox"])
+        yield opened
+        opened.close()
+
+
+@pytest.fixture
+def page_of(browser):
+    """Give a function that opens pages; whatever they ask of other machines fails the test."""
+    contexts, outside, faults = [], [], []
+
+    def opened(url, **settings):
+        context = browser.new_context(**settings)
+        contexts.append(context)
+        page = context.new_page()
+        page.set_default_timeout(LONG_MS)
+        page.on("request", lambda request: outside.append(request.url))
+        page.on("pageerror", lambda error: faults.append(str(error)))
+        page.goto(url)
+        page.wait_for_selector("body[data-ready]")
+        return page
+
+    yield opened
+    for context in contexts:
+        context.close()
+    local = ("http://127.0.0.1:", "blob:http://127.0.0.1:", "ws://127.0.0.1:", "data:")
+    assert [url for url in outside if not url.startswith(local)] == []
+    assert faults == []
+
+
+@pytest.fixture
+def served(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with live(tmp_path) as server:
+        yield server
+
+
+def at_rest(server):
+    """Assert that C2 stands still, once its ramp has ended, and return where."""
+    time.sleep(0.5)
+    before = server.true_yaw()
+    time.sleep(0.3)
+    assert server.true_yaw() == before
+    return before
+
+
+def test_pictures_come_with_the_target_marked_and_are_new(served, page_of):
+    page = page_of(served.url)
+    for camera in ("c1", "c2"):
+        page.wait_for_selector(f"#{camera}[data-frames]")
+        first = int(page.get_attribute(f"#{camera}", "data-frames"))
+        page.wait_for_timeout(1500)
+        assert int(page.get_attribute(f"#{camera}", "data-frames")) > first
+    u, v = map(float, page.get_attribute("#c1", "data-target").split())
+    world = served.session._bench.rig.world
+    true = project(world.rig.c1, world.target(world.clock.now_ns())[None])[0]
+    assert abs(u - true[0]) < 1.0
+    assert abs(v - true[1]) < 1.0
+    assert "this page has the motor" in page.inner_text("#role")
+
+
+def test_stop_in_the_middle_of_a_move(served, page_of):
+    page = page_of(served.url)
+    page.click("#check")
+    served.turning()
+    page.click("#stop")
+    state = served.idle(seconds=10)
+    at_rest(served)
+    assert "stopped" in state["log"][-1]["text"]
+    page.wait_for_selector('body[data-job=""]')
+    # By keyboard, and it works again afterwards.
+    page.focus("#check")
+    page.keyboard.press("Enter")
+    served.turning()
+    page.keyboard.press("Escape")
+    served.idle(seconds=10)
+    at_rest(served)
+
+
+def test_of_two_pages_one_has_the_motor_and_both_may_stop(served, page_of):
+    owner, other = page_of(served.url), page_of(served.url)
+    assert "another page has the motor" in other.inner_text("#role")
+    assert other.is_disabled("#check")
+    with connect(f"ws://127.0.0.1:{served.port}/ws?token={served.access.token}") as socket:
+        for command in ("check", "take"):
+            socket.send(json.dumps({"do": command}))
+        while "notice" not in (heard := json.loads(socket.recv())):
+            assert heard["page"]["role"] == "watcher"
+        assert heard["notice"] == "another page has the motor"
+    assert served.record.get("job") is None
+    owner.click("#check")
+    served.turning()
+    other.click("#stop")
+    served.idle(seconds=10)
+    at_rest(served)
+    owner.close()
+    other.wait_for_selector("#take:not([hidden])")
+    other.click("#take")
+    other.wait_for_selector("#role.owner")
+    assert other.is_enabled("#check")
+
+
+def test_a_page_closed_or_reloaded_in_a_move_stops_the_motor(served, page_of):
+    page = page_of(served.url)
+    page.click("#check")
+    served.turning()
+    page.reload()
+    served.idle(seconds=10)
+    at_rest(served)
+    page.wait_for_selector("#role.owner")
+    assert page.inner_text("#log").count("stopped") >= 1
+    page.click("#check")
+    served.turning()
+    page.close()
+    served.idle(seconds=10)
+    at_rest(served)
+
+
+def test_a_watcher_that_leaves_stops_nothing(served, page_of):
+    page, other = page_of(served.url), page_of(served.url)
+    page.click("#check")
+    served.turning()
+    other.close()
+    time.sleep(0.5)
+    assert served.record.get("job") is not None
+    page.click("#stop")
+    served.idle(seconds=10)
+
+
+class Foreign(http.server.BaseHTTPRequestHandler):
+    """A site of somebody else."""
+
+    def do_GET(self):
+        self.send_response(200)
+        self.send_header("Content-Type", "text/html")
+        self.end_headers()
+        self.wfile.write(b"<!doctype html><title>foreign</title>")
+
+    def log_message(self, *_):
+        pass
+
+
+COMMAND = """address => new Promise((resolve) => {
+  const socket = new WebSocket(address);
+  socket.onopen = () => { socket.send('{"do": "check"}'); resolve("open"); };
+  socket.onerror = () => resolve("refused");
+})"""
+
+
+def test_a_foreign_page_in_the_same_browser_moves_nothing(served, browser):
+    before = served.true_yaw()
+    address = f"ws://127.0.0.1:{served.port}/ws?token={served.access.token}"
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), Foreign) as foreign:
+        threading.Thread(target=foreign.serve_forever).start()
+        page = browser.new_page()
+        try:
+            page.goto(f"http://127.0.0.1:{foreign.server_port}/")
+            # Even if it had the token.
+            assert page.evaluate(COMMAND, address) == "refused"
+            assert served.record.get("job") is None
+            assert served.true_yaw() == before
+            # The same words from the page itself are obeyed.
+            page.goto(served.url)
+            assert page.evaluate(COMMAND, address) == "open"
+        finally:
+            page.close()
+            foreign.shutdown()
+
+
+def wait_idle(page):
+    page.wait_for_selector('body[data-job=""]')
+
+
+def clicked(page, button):
+    """Click and wait until the job is done."""
+    page.wait_for_selector(f"#{button}:enabled")
+    page.click(f"#{button}")
+    page.wait_for_selector('body:not([data-job=""])')
+    wait_idle(page)
+
+
+CALIB = """\
+import sys, warnings
+sys.path.insert(0, {folder!r})
+import short_chain
+short_chain.shorten(setattr)
+warnings.simplefilter("ignore")
+from calib.cli.main import main
+sys.exit(main())
+"""
+
+
+@pytest.mark.slow
+def test_from_an_empty_folder_to_measured_depths_by_clicks_alone(tmp_path, monkeypatch, page_of):
+    monkeypatch.chdir(tmp_path)
+    folder = Path(__file__).parents[1] / "reliability"
+    (tmp_path / "short.py").write_text(CALIB.format(folder=str(folder)))
+    program = (sys.executable, str(tmp_path / "short.py"))
+    with live(tmp_path, rig=settings(time="simulated"), calib=program) as server:
+        page = page_of(server.url, color_scheme="dark", viewport={"width": 400, "height": 800})
+        assert page.evaluate("document.documentElement.scrollWidth") <= 400
+        assert page.is_disabled("#capture")
+        clicked(page, "check")
+        assert "fit" in page.inner_text("#check-text")
+        page.fill("#rows", "12")
+        clicked(page, "capture")
+        assert page.inner_text("#capture-text").startswith("12 rows")
+        clicked(page, "calibrate")
+        result = json.loads((server.session.places.run / "calibration.json").read_text())
+        assert result["rig"]["serial"] == "virtual-1"
+        world = server.session._bench.rig.world
+        true = []
+        for _ in range(5):
+            clicked(page, "gaze")
+            true.append(world.target(world.clock.now_ns()))
+        clicked(page, "length")
+        assert page.evaluate("document.documentElement.scrollWidth") <= 400
+        page.wait_for_selector("#documents:not([hidden])")
+        page.frame_locator("#document").locator("body").first.wait_for()
+        with page.expect_download() as download:
+            page.click("#csv")
+        rows = list(csv.DictReader(download.value.path().read_text().splitlines()))
+    assert [row["id"] for row in rows] == ["t01", "t02", "t03", "t04", "t05"]
+    for row, (x, y, z) in zip(rows, true, strict=True):
+        assert abs(float(row["z_mm"]) - z) < 4 * float(row["u_z_mm"])
+        assert abs(float(row["x_mm"]) - x) < 2.0
+        assert abs(float(row["y_mm"]) - y) < 2.0
+        assert float(row["z_low95_mm"]) < float(row["z_mm"]) < float(row["z_high95_mm"])
+    lengths = server.record.get("lengths")
+    assert lengths[0]["from"] == "plate:left-upper"
+    assert abs(lengths[0]["length_mm"] - 1400) < 4 * lengths[0]["u_mm"]

@@ -14,7 +14,7 @@ from calib.core.arrays import FloatArray
 from calib.core.errors import EstimationError
 from calib.geometry.board import Board, Corners
 from calib.geometry.camera import camera_from_vector, intrinsic_vector
-from calib.geometry.parameters import INDEX
+from calib.geometry.parameters import INDEX, STANDOFF
 from calib.geometry.poses import pose_vector
 from calib.images.bundle import sum_blocks
 from calib.images.sweep.model import AXIS, ENCODER, SweepProblem, blocks_of, residuals_of
@@ -312,6 +312,20 @@ def test_wrong_sign_is_named_though_few_images_could_follow_it() -> None:
     few = np.deg2rad(np.linspace(60, 95, 6))
     with pytest.raises(EstimationError, match="alpha2 counts the wrong way round"):
         solve(rng, rig, readings=few, sigma_px=0.02, lens_std=0.1 * LENS_STD, edit=edit)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_an_axis_far_away_is_not_taken_for_a_wrong_sign(sign: int) -> None:
+    """The board turns about an axis 5.4 m ahead of C2, in whichever sense."""
+    rng = np.random.default_rng(15)
+    rig = draw_rig(rng, model="axis-offset", fixed={STANDOFF: -5400.0})
+
+    def edit(found: Corners, shown: SweepReadings) -> tuple[Corners, SweepReadings]:
+        turned = np.pi / 2 + sign * (shown.alpha2_rad - np.pi / 2)
+        return found, replace(shown, alpha2_rad=turned)
+
+    with pytest.raises(EstimationError, match="in either sense of the encoder"):
+        solve(rng, rig, readings=np.deg2rad(np.linspace(88.5, 91.5, 7)), edit=edit)
 
 
 def test_a_reading_so_wrong_that_its_image_is_left_out_is_named() -> None:

@@ -33,6 +33,13 @@ MIN_READINGS = 3
 SIGN_RATIO = 3.0
 """How much better the other sense of turning must fit to be called the right one."""
 
+NO_AXIS_RMS_PX = 20.0
+"""Beyond, an attempt is far from any minimum, and proves nothing about signs: attempts in the right
+sense ended below 5 px on drawn rigs with every error."""
+
+REVERSED_SCALE = 0.5
+"""A scale error this near to -2 is the other sense of turning."""
+
 MEASURED_SHARE = 0.5
 """An encoder term counts as measured when the sweep narrows its prior to this share or less."""
 
@@ -149,6 +156,7 @@ def solve_sweep(
     )
     _check_board(problem, board)
     refined, minimum = _refined(problem, _in_the_right_sense(problem))
+    _check_scale(minimum)
     rejected = int(finite(problem.pixels).sum() - finite(refined.pixels).sum())
     spread = inverse(minimum.normal.matrix)
     return SweepSolution(
@@ -204,6 +212,8 @@ def _in_the_right_sense(problem: SweepProblem) -> FloatArray:
     if rms <= RMS_LIMIT_PX:
         return x
     _, other = _attempt(held.flipped())
+    if min(rms, other) > NO_AXIS_RMS_PX:
+        raise EstimationError(_no_axis(rms, other))
     if SIGN_RATIO * other < rms:
         raise EstimationError(
             f"sweep: alpha2 counts the wrong way round: the images fit to {other:.2f} px with the "
@@ -212,6 +222,29 @@ def _in_the_right_sense(problem: SweepProblem) -> FloatArray:
             "every table; or, if C2 hangs upside down, turn all its pictures by 180 deg instead"
         )
     return x
+
+
+def _check_scale(minimum: Minimum) -> None:
+    """Raise EstimationError if the encoder's scale says that it counts the other way."""
+    place = [parameter.name for parameter, _ in ENCODER].index("encoder_scale")
+    scale = float(minimum.x[AXIS + place])
+    if abs(scale + 2) < REVERSED_SCALE:
+        raise EstimationError(
+            f"sweep: the images fit with an encoder scale error of {100 * scale:.0f} %, which is "
+            "an encoder that counts the wrong way round, or an axis elsewhere: replace alpha2_deg "
+            "by 180 - alpha2_deg in every table, or check that it was C2 that turned"
+        )
+
+
+def _no_axis(rms: float, other: float) -> str:
+    """Say that no axis near C2 fits; far from any minimum neither sense is the better one."""
+    return (
+        f"sweep: no axis within {FOOT_STD_MM:g} mm or so of C2's centre fits the images, in "
+        f"either sense of the encoder ({rms:.0f} px rms as it stands, {other:.0f} px reversed): "
+        "check that the board was at rest within each placement and it was C2 that turned (a "
+        "turntable under the board is no sweep), that the yaw axis passes near C2, and the unit of "
+        "alpha2_deg"
+    )
 
 
 def _attempt(problem: SweepProblem) -> tuple[FloatArray, float]:

@@ -12,6 +12,7 @@ from pydantic import ValidationError
 
 from calib.capture.writer import MANIFEST, GrowingFolder
 from calib.core.errors import InputError
+from calib.dataset.board_section import section_of
 from calib.dataset.faults import parse_toml
 from calib.dataset.manifest import Manifest
 from calib.geometry.board import Board
@@ -168,7 +169,7 @@ def _sections(known: Description, kind: Kind, table: str, *, name: str) -> dict[
         kind: rows,
     }
     if known.board is not None:
-        sections["board"] = _board(known.board)
+        sections["board"] = section_of(known.board)
     return sections
 
 
@@ -179,23 +180,6 @@ def _camera(known: Description, role: Role) -> dict[str, Any]:
         "matrix": lens.matrix.tolist(),
         "distortion": lens.distortion.tolist(),
     }
-
-
-def _board(board: Board) -> dict[str, Any]:
-    described: dict[str, Any] = {
-        "type": board.type,
-        "columns": board.columns,
-        "rows": board.rows,
-        "square_mm": board.square_mm,
-        "target": list(board.target),
-    }
-    if board.type == "charuco":
-        described |= {
-            "dictionary": board.dictionary,
-            "marker_mm": board.marker_mm,
-            "legacy": board.legacy,
-        }
-    return described
 
 
 def _bad(what: str, remedy: str) -> InputError:

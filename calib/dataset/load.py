@@ -14,6 +14,7 @@ import numpy as np
 from calib.core.arrays import FloatArray
 from calib.core.errors import InputError, Problem
 from calib.dataset import manifest as spec
+from calib.dataset.board_section import board_of
 from calib.dataset.camera_file import MODEL_LIMIT_BYTES, read_camera
 from calib.dataset.checks import faults
 from calib.dataset.contents import Dataset
@@ -126,7 +127,7 @@ class _Loading:
         manifest = parsed.manifest
         if manifest is None:
             return None
-        board = None if manifest.board is None else _board(manifest.board)
+        board = None if manifest.board is None else board_of(manifest.board)
         cache = self._corner_cache(manifest.board, board)
         dataset = Dataset(
             root=self.folder.root,
@@ -364,17 +365,3 @@ class _Loading:
         if absent:
             self.warnings.append(f"{absent} image(s) are absent; their corners are in the cache")
         self.problems += shortened(problems, where="images")
-
-
-def _board(section: spec.Board) -> Board:
-    """Return the board that the manifest describes."""
-    return Board(
-        type=section.type,
-        columns=section.columns,
-        rows=section.rows,
-        square_mm=section.square_mm,
-        target=section.target_corner or (section.columns // 2, section.rows // 2),
-        dictionary=section.dictionary,
-        marker_mm=section.marker_mm,
-        legacy=section.legacy,
-    )

@@ -9,6 +9,7 @@ from typing import Literal
 
 import numpy as np
 
+from calib.dataset.board_section import board_of
 from calib.geometry.board import Board
 from calib.geometry.camera import Camera
 from calib.rig.devices import RigDevices
@@ -21,18 +22,7 @@ def known_board(rig: RigDevices) -> Board | None:
     if rig.world is not None:
         return rig.world.board
     given = rig.settings.board
-    if given is None:
-        return None
-    return Board(
-        type=given.type,
-        columns=given.columns,
-        rows=given.rows,
-        square_mm=given.square_mm,
-        target=given.target_corner or (given.columns // 2, given.rows // 2),
-        dictionary=given.dictionary,
-        marker_mm=given.marker_mm,
-        legacy=given.legacy,
-    )
+    return None if given is None else board_of(given)
 
 
 def known_lens(rig: RigDevices, role: Role) -> Camera | None:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from calib.core.arrays import FloatArray
+from calib.dataset.board_section import section_of
 from calib.geometry.board import Board
 from calib.simulate.contents import (
     U_LENGTH_MM,
@@ -182,21 +183,8 @@ def _sweep_table(placements: tuple[Placement, ...]) -> Table:
 
 def _sections(rig: Rig, board: Board, *, held: float, swept: bool) -> Section:
     """Return the sections of the manifest that images need."""
-    described: Section = {
-        "type": board.type,
-        "columns": board.columns,
-        "rows": board.rows,
-        "square_mm": board.square_mm,
-        "target": list(board.target),
-    }
-    if board.type == "charuco":
-        described |= {
-            "dictionary": board.dictionary,
-            "marker_mm": board.marker_mm,
-            "legacy": board.legacy,
-        }
     sections: Section = {
-        "board": described,
+        "board": section_of(board),
         "cameras": {
             name: {"image_size": list(camera.image_size), "images": f"intrinsics/{name}/*.png"}
             for name, camera in (("c1", rig.c1), ("c2", rig.c2))

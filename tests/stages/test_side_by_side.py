@@ -265,6 +265,7 @@ def is_running(pid: int) -> bool:
 
 def assert_no_children() -> None:
     """Fail if a worker lives; other tests of this process may have left helpers of libraries."""
-    own = Path(f"/proc/self/task/{os.getpid()}/children").read_text().split()
+    threads = Path("/proc/self/task").iterdir()
+    own = [child for one in threads for child in (one / "children").read_text().split()]
     commands = [Path(f"/proc/{child}/cmdline").read_bytes() for child in own]
     assert not [c for c in commands if b"calib.stages.worker" in c or not c]

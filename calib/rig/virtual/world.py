@@ -19,6 +19,7 @@ from typing import Any, Final, Literal
 import numpy as np
 
 from calib.core.arrays import FloatArray
+from calib.dataset.board_section import board_of
 from calib.geometry.board import Board
 from calib.geometry.camera import Camera
 from calib.geometry.mirror import SIGN
@@ -258,13 +259,4 @@ def _board(settings: RigSettings, rig: Rig) -> Board:
     given = settings.board
     if given is None:
         return fitting_board(rig, near_mm=rig.depth_range_mm[0])
-    return Board(
-        type=given.type,
-        columns=given.columns,
-        rows=given.rows,
-        square_mm=given.square_mm,
-        target=given.target_corner or (given.columns // 2, given.rows // 2),
-        dictionary=given.dictionary,
-        marker_mm=given.marker_mm,
-        legacy=given.legacy,
-    )
+    return board_of(given)

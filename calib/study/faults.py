@@ -87,7 +87,7 @@ def _mistake(fault: str, place: int, rows: int, seed: int, number: int) -> Recor
     priors = _silent(bench.priors) if number % 2 or fault == REFERENCE else bench.priors
     rng = np.random.default_rng((seed, place, rows, number))
     clean = fit_model(bench.rows, priors, model=MODEL)
-    value, wrong = spoiled(fault, bench, clean, rng)
+    value, wrong, later = spoiled(fault, bench, clean, rng)
     record: Record = {"fault": fault, "rows": rows, "value": value}
     try:
         fit = fit_model(wrong, priors, model=MODEL)
@@ -96,7 +96,7 @@ def _mistake(fault: str, place: int, rows: int, seed: int, number: int) -> Recor
     found = _tried(wrong, priors, fit, bench)
     own = None if found is None else found.outcomes.get(fault)
     return record | {
-        "effect": _effect(fault, clean, fit, bench.rows, wrong),
+        "effect": _effect(clean, fit, bench.rows, later),
         "gain": None if own is None else own.gain,
         "named": [] if found is None else list(found.named),
     }
@@ -110,13 +110,14 @@ def _silent(priors: Priors) -> Priors:
 
 def spoiled(
     fault: str, bench: Bench, clean: RobustFit, rng: Generator
-) -> tuple[float, Observations]:
-    """Return the rows with the mistake, and its size in its unit."""
+) -> tuple[float, Observations, Observations]:
+    """Return the mistake's size in its unit, the rows with it, and as they would be read later."""
     step, own = bench.rig.resolution_rad, int(rng.integers(2**63))
     value = FAULTS[fault].value
 
-    def rows_with(size: float) -> Observations:
-        return spoil(bench.rows, {fault: size}, Context(step, np.random.default_rng(own)))
+    def rows_with(size: float, *, later: bool = False) -> Observations:
+        context = Context(step, np.random.default_rng(own))
+        return spoil(bench.rows, {fault: size}, context, validation=later)
 
     if fault not in UNSIZED:
         wanted = float(np.exp(rng.uniform(*np.log(SIZES))))
@@ -124,7 +125,7 @@ def spoiled(
     if fault == "microstep":
         most = MOST_OF_FULL_STEP * FULL_STEP_COUNTS * float(np.rad2deg(step))
         value = float(np.clip(value, -most, most))
-    return value, rows_with(value)
+    return value, rows_with(value), rows_with(value, later=True)
 
 
 def size_of(wrong: Observations, rows: Observations, theta: FloatArray) -> float:
@@ -140,16 +141,13 @@ def _tried(rows: Observations, priors: Priors, fit: RobustFit, bench: Bench) -> 
     return Tried.of(rows, priors, fit, history, is_left=False)
 
 
-def _effect(
-    fault: str, clean: RobustFit, spoiled: RobustFit, rows: Observations, wrong: Observations
-) -> float:
+def _effect(clean: RobustFit, spoiled: RobustFit, rows: Observations, later: Observations) -> float:
     """Return by how many of the u that is stated a mistake moves a depth of the rows, at most."""
-    gaze = wrong.gaze if FAULTS[fault].everywhere else rows.gaze
-    at = depth_jacobian(spoiled.theta, gaze)
+    at = depth_jacobian(spoiled.theta, later.gaze)
     own = [INDEX[name] for name in spoiled.names]
     by_theta = at.by_theta[:, own]
     variance = np.einsum("ni,ij,nj->n", by_theta, spoiled.covariance, by_theta)
-    readings = at.by_observable * wrong.std[:, : OBSERVABLE.z] * max(1.0, spoiled.noise_scale)
+    readings = at.by_observable * later.std[:, : OBSERVABLE.z] * max(1.0, spoiled.noise_scale)
     u = np.sqrt(variance + (readings**2).sum(axis=1))
     change = np.abs(at.z - depth(clean.theta, rows.gaze)) / u
     return float(np.max(change[np.isfinite(change)], initial=0.0))

@@ -72,6 +72,6 @@ def test_mistakes_are_of_the_sizes_that_the_study_says() -> None:
     for place, fault in enumerate(FAULTS):
         if fault in (*NOT_IN_ROWS, *UNSIZED, "microstep", "c1-distortion-left-in"):
             continue
-        _, wrong = spoiled(fault, bench, clean, np.random.default_rng(place))
+        _, wrong, _ = spoiled(fault, bench, clean, np.random.default_rng(place))
         size = size_of(wrong, bench.rows, clean.theta)
         assert 0.9 * SIZES[0] < size < 1.1 * SIZES[1], fault

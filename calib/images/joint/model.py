@@ -124,6 +124,8 @@ def residuals_of(problem: JointProblem, at: Unknowns) -> FloatArray:
     residuals = problem.images.pixels.copy()
     for c in (0, 1):
         own = problem.images.camera == c
+        if not own.any():
+            continue
         camera = problem.camera_at(at.shared, c)
         residuals[own] -= project_points(camera, seen[own].reshape(-1, 3)).pixels.reshape(
             int(own.sum()), -1, 2

@@ -80,8 +80,15 @@ class Reduced:
         return inverse(self.normals.sum(axis=0))
 
 
-def minimise_views(evaluate: Callable[[Unknowns], ViewNormals], start: Unknowns) -> Reduced:
+def minimise_views(
+    evaluate: Callable[[Unknowns], ViewNormals], start: Unknowns, *, done: float = DONE
+) -> Reduced:
     """Minimise the sum of squares (Levenberg and Marquardt).
+
+    Parameters
+    ----------
+    done
+        Gain of the whitened cost at which to stop.
 
     Raises
     ------
@@ -94,7 +101,7 @@ def minimise_views(evaluate: Callable[[Unknowns], ViewNormals], start: Unknowns)
     damping = _FIRST_DAMPING
     for _ in range(MAX_STEPS):
         step, gain = _step(normals, damping)
-        if gain < DONE and damping <= 1:
+        if gain < done and damping <= 1:
             return _polished(evaluate, at, normals)
         trial = _moved(at, step)
         found = evaluate(trial)
@@ -138,12 +145,18 @@ def _polished(
         if not 0 <= next_gain < gain:
             break
         at, normals, step, gain = trial, found, next_step, next_gain
-    matrix, gradient = _eliminated(normals, 0.0)
+    matrix, gradient = eliminated(normals, 0.0)
     return Reduced(at, matrix, gradient, normals.cost)
 
 
-def _eliminated(normals: ViewNormals, damping: float) -> tuple[FloatArray, FloatArray]:
-    """Return matrices and gradients of the shared unknowns, view by view."""
+def eliminated(normals: ViewNormals, damping: float) -> tuple[FloatArray, FloatArray]:
+    """Return matrices and gradients of the shared unknowns, view by view.
+
+    Parameters
+    ----------
+    damping
+        By which the diagonals of the views' own matrices are enlarged, in parts.
+    """
     own = _damped(normals.own, damping)
     right = np.concatenate([normals.mixed.swapaxes(-1, -2), normals.own_gradient[..., None]], -1)
     solved = np.linalg.solve(own, right)
@@ -161,7 +174,7 @@ def _damped(own: FloatArray, damping: float) -> FloatArray:
 
 def _step(normals: ViewNormals, damping: float) -> tuple[Unknowns, float]:
     """Return the damped step and the gain of the cost that it promises."""
-    matrices, gradients = _eliminated(normals, damping)
+    matrices, gradients = eliminated(normals, damping)
     matrix, gradient = matrices.sum(axis=0), gradients.sum(axis=0)
     diagonal = np.diag(normals.shared.sum(axis=0))
     scale = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))

@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 from calib.cli.arguments import add_input, add_output, run_folder, whole
-from calib.cli.capture import DATASET
+from calib.cli.guided_capture import DATASET
 from calib.cli.rig_options import add_rig
 from calib.core.errors import UsageError, harmless
 

@@ -122,23 +122,24 @@ def _points(
     x: FloatArray, y: FloatArray, out: BoolArray, chart: Chart, dates: Sequence[str]
 ) -> list[str]:
     """Return the points, those outside the limits as larger squares in red."""
-    looks = ((~out, BLUE, "round", 5), (out, VERMILLION, "square", 6))
-    if len(x) > MANY:
-        marks = [
-            "".join(f"M{a:.1f} {b:.1f}h0" for a, b in zip(x[which], y[which], strict=True))
-            for which, *_ in looks
+    # Shapes with an area: renderers differ in what a line without length looks like.
+    found = []
+    for which, colour, shape in ((~out, BLUE, _DISC), (out, VERMILLION, _SQUARE)):
+        places = list(map(int, np.flatnonzero(which)))
+        drawn = [f"M{x[i]:.1f} {y[i]:.1f}{shape}" for i in places]
+        if len(x) > MANY:
+            found += [f'<path d="{"".join(drawn)}" fill="{colour}"/>'] * bool(drawn)
+            continue
+        found += [
+            f'<path d="{mark}" fill="{colour}"><title>{dates[i]}: {chart.statistic[i]:+.2f}'
+            "</title></path>"
+            for i, mark in zip(places, drawn, strict=True)
         ]
-        return [
-            f'<path d="{mark}" stroke="{colour}" stroke-linecap="{cap}" stroke-width="{size}"/>'
-            for mark, (_, colour, cap, size) in zip(marks, looks, strict=True)
-            if mark
-        ]
-    return [
-        f'<path d="M{x[i]:.1f} {y[i]:.1f}h0" stroke="{colour}" stroke-linecap="{cap}" '
-        f'stroke-width="{size}"><title>{dates[i]}: {chart.statistic[i]:+.2f}</title></path>'
-        for which, colour, cap, size in looks
-        for i in map(int, np.flatnonzero(which))
-    ]
+    return found
+
+
+_DISC = "m-2.4 0a2.4 2.4 0 1 0 4.8 0a2.4 2.4 0 1 0 -4.8 0z"
+_SQUARE = "m-3 -3h6v6h-6z"
 
 
 def _dates(first: datetime, last: datetime) -> list[str]:

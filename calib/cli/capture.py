@@ -15,7 +15,10 @@ from calib.stages.output_guard import OutputKind
 DONE, NOT_ALL = 0, 3
 
 DATASET = OutputKind(
-    is_folder=True, marks=("dataset.toml", "session.jsonl", ".capture.lock"), is_dataset=True
+    is_folder=True,
+    files=(("dataset.toml", ()), ("session.jsonl", (b'{"event": ',))),
+    hidden=(".capture.lock",),
+    is_dataset=True,
 )
 
 DEFAULT_COUNT = 15

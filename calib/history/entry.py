@@ -21,8 +21,12 @@ from lxml import etree
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from calib.core.arrays import FloatArray
+from calib.core.errors import InputError
+from calib.core.limited import read_limited
 from calib.core.seal import is_edited
 from calib.geometry.parameters import INDEX
+from calib.instrument.calibration_file import FILE_LIMIT_BYTES
+from calib.stages.manifest import refuse_broken
 
 RESULT, CERTIFICATE, RUN = "calibration.json", "certificate.xml", "run.toml"
 
@@ -34,6 +38,10 @@ _SERIAL = (
     "//dcc:items/dcc:item/dcc:identifications/dcc:identification"
     "[dcc:name/dcc:content='serial number']/dcc:value/text()"
 )
+
+
+class GatesFailedError(ValueError):
+    """A calibration's gates failed: it is told, and is no fault of the files."""
 
 
 @dataclass(frozen=True)
@@ -114,21 +122,21 @@ def read_entry(folder: Path) -> Entry:
 
     Raises
     ------
+    GatesFailedError
+        If its calibration must not be used.
     ValueError
-        If its calibration cannot be read; the text says why.
+        If it cannot be read, was edited or is of no whole run; the text says why.
     """
+    content = _whole(folder, RESULT)
     try:
-        content = (folder / RESULT).read_bytes()
         document = _Document.model_validate_json(content)
-    except OSError as error:
-        raise ValueError(error.strerror or str(error)) from error
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"]) or "the file"
         raise ValueError(f"{where}: {first['msg']}") from error
     failed = [gate.name for gate in document.gates if not gate.passed]
     if failed:
-        raise ValueError(f"must not be used: gate {', '.join(failed)} failed")
+        raise GatesFailedError(f"must not be used: gate {', '.join(failed)} failed")
     if is_edited(json.loads(content)):
         raise ValueError("was edited after the run that wrote it")
     m = document.measurement
@@ -158,6 +166,19 @@ def read_entry(folder: Path) -> Entry:
     )
 
 
+def _whole(folder: Path, name: str) -> bytes:
+    """Return the bytes of a file beside a calibration, which must be those that the run wrote."""
+    path = folder / name
+    try:
+        content = read_limited(path, FILE_LIMIT_BYTES, regular=True)
+        refuse_broken(path, content)
+    except InputError as error:
+        raise ValueError(str(error)) from error
+    except OSError as error:
+        raise ValueError(f"{name}: {error.strerror or error}") from error
+    return content
+
+
 def _refuse_impossible(m: _Measurement, covariance: FloatArray) -> None:
     """Raise if no rig can have such a calibration: its charts would show no number, or a lie."""
     if len(set(m.names)) < len(m.names) or "baseline_mm" not in m.names:
@@ -177,10 +198,12 @@ def _refuse_impossible(m: _Measurement, covariance: FloatArray) -> None:
 
 def _certified(folder: Path, dataset_sha256: str) -> tuple[str | None, str | None]:
     """Return serial number and date of the certificate beside a calibration, as far as stated."""
+    if not (folder / CERTIFICATE).exists():
+        return None, None
     parser = etree.XMLParser(resolve_entities=False, no_network=True)
     try:
-        root = etree.parse(folder / CERTIFICATE, parser).getroot()
-    except (OSError, etree.XMLSyntaxError):
+        root = etree.fromstring(_whole(folder, CERTIFICATE), parser)
+    except etree.XMLSyntaxError:
         return None, None
     serials: Any = root.xpath(_SERIAL, namespaces=_DCC)
     dated = root.findtext(".//dcc:endPerformanceDate", namespaces=_DCC)
@@ -191,10 +214,13 @@ def _certified(folder: Path, dataset_sha256: str) -> tuple[str | None, str | Non
 
 def _finished(folder: Path) -> str:
     """Return when a run ended, as run.toml has it; empty where it does not say."""
+    if not (folder / RUN).exists():
+        return ""
+    content = _whole(folder, RUN)
     try:
-        run: dict[str, Any] = tomllib.loads((folder / RUN).read_text(encoding="utf-8"))
+        run: dict[str, Any] = tomllib.loads(content.decode("utf-8"))
         return str(run["run"]["finished"])
-    except (OSError, ValueError, KeyError, TypeError):
+    except (ValueError, KeyError, TypeError, RecursionError):
         return ""
 
 

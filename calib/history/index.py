@@ -12,14 +12,14 @@ import os
 import sqlite3
 from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from calib.core.errors import InputError, UsageError
-from calib.history.entry import RESULT, Entry, read_entry
+from calib.history.entry import RESULT, Entry, GatesFailedError, read_entry
 
 WAIT_S = 60.0
 """For another writer; a transaction of 10,000 calibrations takes a tenth of it."""
@@ -53,6 +53,8 @@ class Indexed:
         Old and new path.
     unreadable
         Path and reason.
+    failed
+        Path and reason of those that must not be used.
     """
 
     calibrations: int
@@ -61,6 +63,7 @@ class Indexed:
     deleted: tuple[str, ...]
     moved: tuple[tuple[str, str], ...]
     unreadable: tuple[tuple[str, str], ...]
+    failed: tuple[tuple[str, str], ...] = ()
 
 
 @contextmanager
@@ -112,10 +115,12 @@ def update(index: Path, roots: Sequence[Path]) -> Indexed:
     Entries of folders outside `roots` are kept, as these may be on a disk that is not mounted,
     unless their calibration has moved into `roots`.
     """
-    entries, unreadable = [], []
+    entries, unreadable, failed = [], [], []
     for folder in calibrations_below(roots):
         try:
             entries.append(read_entry(folder))
+        except GatesFailedError as error:
+            failed.append((str(folder), str(error)))
         except ValueError as error:
             unreadable.append((str(folder), str(error)))
     with _opened(index) as connection:
@@ -128,14 +133,15 @@ def update(index: Path, roots: Sequence[Path]) -> Indexed:
         for statement in _TABLE.split(";\n"):
             connection.execute(statement)
         before = dict(connection.execute("SELECT path, sha256 FROM calibration"))
-        bad = {path for path, _ in unreadable}
+        bad = {path for path, _ in (*unreadable, *failed)}
         gone = _gone(before, roots, entries) | (bad & set(before))
         connection.executemany("DELETE FROM calibration WHERE path=?", [(p,) for p in gone])
         connection.executemany(
             "INSERT OR REPLACE INTO calibration VALUES (?,?,?,?,?,?,?,?,?,?,?)", map(_row, entries)
         )
         connection.execute("COMMIT")
-    return _differences(before, entries, gone - bad, unreadable)
+    found = _differences(before, entries, gone - bad, unreadable)
+    return replace(found, failed=tuple(failed))
 
 
 def _gone(before: dict[str, str], roots: Sequence[Path], entries: Sequence[Entry]) -> set[str]:

@@ -133,10 +133,24 @@ def refuse_other(manifest: Manifest, known: Description) -> None:
 
 def add_sections(folder: GrowingFolder, known: Description, kind: Kind, table: str) -> None:
     """Add to the manifest what the rows of a table need and it does not say; what stands stays."""
+    add_tables(folder, _sections(known, kind, table, root=folder.root))
+
+
+def add_tables(folder: GrowingFolder, wanted: Mapping[str, Any]) -> None:
+    """Add to the manifest what it does not say; what stands stays.
+
+    Parameters
+    ----------
+    wanted
+        Keys and tables of a manifest.
+    """
     text = folder.text(MANIFEST)
     present = {} if text is None else parse_toml(text, file=MANIFEST)
-    wanted = _sections(known, kind, table, name=_name(folder.root))
     missing = {key: value for key, value in wanted.items() if key not in present}
+    cameras = present.get("cameras")
+    if isinstance(cameras, dict):
+        more = {role: s for role, s in wanted.get("cameras", {}).items() if role not in cameras}
+        missing |= {"cameras": more} if more else {}
     if not missing:
         return
     if text is None:
@@ -147,30 +161,48 @@ def add_sections(folder: GrowingFolder, known: Description, kind: Kind, table: s
     folder.write_text(MANIFEST, text.rstrip("\n") + "\n\n" + tomli_w.dumps(tables))
 
 
-def _name(root: Path) -> str:
-    return root.resolve().name or SMALLEST_NAME
-
-
-def _sections(known: Description, kind: Kind, table: str, *, name: str) -> dict[str, Any]:
-    rows: dict[str, Any] = {"table": table, "reference": known.reference}
-    if known.z_from_c1:
-        rows["z_from"] = "c1"
-    sections: dict[str, Any] = {
+def head_tables(known: Description, root: Path) -> dict[str, Any]:
+    """Return what a manifest of the rig begins with."""
+    return {
         "format": 1,
-        "name": name,
+        "name": _name(root),
         "title": f"Captured by rig {known.serial}",
         "rig": {"c2": "left" if known.is_left else "right", "serial": known.serial},
-        "cameras": {role: _camera(known, role) for role in known.lenses},
+    }
+
+
+def board_tables(board: Board) -> dict[str, Any]:
+    """Return the section of a board."""
+    return {"board": section_of(board)}
+
+
+def encoder_tables(known: Description) -> dict[str, Any]:
+    """Return the section of the encoder."""
+    return {
         "encoder": {
             "resolution_deg": known.resolution_deg,
             "u_alpha2_deg": known.u_alpha2_deg,
             **known.motor,
-        },
-        kind: rows,
+        }
     }
-    if known.board is not None:
-        sections["board"] = section_of(known.board)
-    return sections
+
+
+def _name(root: Path) -> str:
+    return root.resolve().name or SMALLEST_NAME
+
+
+def _sections(known: Description, kind: Kind, table: str, *, root: Path) -> dict[str, Any]:
+    rows: dict[str, Any] = {"table": table, "reference": known.reference}
+    if known.z_from_c1:
+        rows["z_from"] = "c1"
+    boards = {} if known.board is None else board_tables(known.board)
+    return {
+        **head_tables(known, root),
+        "cameras": {role: _camera(known, role) for role in known.lenses},
+        **encoder_tables(known),
+        kind: rows,
+        **boards,
+    }
 
 
 def _camera(known: Description, role: Role) -> dict[str, Any]:

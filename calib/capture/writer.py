@@ -43,6 +43,15 @@ class GrowingFolder:
             raise UsageError(f"{name}: the picture cannot be encoded")
         self._write(name, data.tobytes())
 
+    def pictures(self, under: str) -> list[str]:
+        """Return the names of the pictures in a folder below, sorted."""
+        return sorted(f"{under}/{path.name}" for path in (self.root / under).glob("[!.]*.png"))
+
+    def next_picture(self, under: str) -> str:
+        """Return the name of a picture that is not there yet: numbered, one after the last."""
+        numbers = [int(n) for name in self.pictures(under) if (n := Path(name).stem).isdigit()]
+        return f"{under}/{max(numbers, default=0) + 1:02d}.png"
+
     def text(self, name: str) -> str | None:
         """Return the text of a file; None if there is none.
 

@@ -21,6 +21,7 @@ from calib.dataset.contents import Dataset
 from calib.dataset.tables import LengthTable
 from calib.diagnosis.correction import correct_rows
 from calib.diagnosis.engine import Attempt, diagnose
+from calib.diagnosis.independent import diagnose_references
 from calib.diagnosis.session import row_history
 from calib.fit.compare import compare_models
 from calib.fit.convex import fit_convex
@@ -257,6 +258,9 @@ def _measure(
     if validation is not None:
         measured = run(stage("validation", measure_validation,
                              calibrated, validation, fits, seed=seed))
+    diagnosis = run(stage("independent references", diagnose_references,
+                          diagnosis, calibrated, fitted.robust[selected], rows,
+                          optional(validation), optional(_lengths(dataset)), depths))
     evidence = run(stage("certified depths", gather_evidence,
                          calibrated, rows, optional(validation), optional(measured),
                          optional(_lengths(dataset)), seed=seed, **_certified(dataset)))

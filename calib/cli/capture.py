@@ -6,20 +6,15 @@ import argparse
 import sys
 from contextlib import ExitStack
 
+from calib.cli import guided_capture
 from calib.cli.arguments import add_output, depth, positive
 from calib.cli.gaze import add_target, make_gazer
+from calib.cli.guided_capture import DATASET
 from calib.cli.rig_options import add_rig, opened
 from calib.core.errors import harmless
-from calib.stages.output_guard import OutputKind
 
 DONE, NOT_ALL = 0, 3
 
-DATASET = OutputKind(
-    is_folder=True,
-    files=(("dataset.toml", ()), ("session.jsonl", (b'{"event": ',))),
-    hidden=(".capture.lock",),
-    is_dataset=True,
-)
 
 DEFAULT_COUNT = 15
 DEFAULT_U_Z_MM = 1.0
@@ -45,6 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             help=f"standard uncertainty of depths typed in; default: {DEFAULT_U_Z_MM:g}",
         )  # fmt: skip
         add.set_defaults(run=_run)
+    guided_capture.add_commands(commands)
 
 
 def _run(arguments: argparse.Namespace) -> int:

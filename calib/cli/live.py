@@ -9,7 +9,7 @@ from pathlib import Path
 
 from calib.cli.acceptance import add_calibration, warn_of_failed
 from calib.cli.arguments import add_output, run_folder, whole
-from calib.cli.capture import DATASET
+from calib.cli.guided_capture import DATASET
 from calib.cli.rig_options import add_rig
 from calib.core.errors import UsageError, harmless
 

@@ -37,6 +37,9 @@ CACHE = ".stages"
 LOCK = ".lock"
 PARTIAL = ".part"
 
+IN_USE = "another run is writing there"
+"""Says why a folder is refused that is locked."""
+
 
 _TEMPORARY = re.compile(r"\..+\.[0-9a-f]{16}\.part", re.DOTALL)
 """What `atomic_write` calls a file that is not whole yet."""
@@ -119,6 +122,18 @@ def write_bytes(path: Path, content: bytes) -> None:
         temporary.write_bytes(content)
 
 
+def is_in_use(out: Path) -> bool:
+    """Return whether a run is writing into a folder now."""
+    try:
+        with (out / LOCK).open("r") as handle:
+            fcntl.flock(handle, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    except OSError:
+        return False
+    return False
+
+
 @dataclass
 class Store:
     """The folder of one run's results.
@@ -159,7 +174,7 @@ class Store:
                 fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except OSError:
                 raise UsageError(
-                    f"{self.out}: another run is writing there; wait for it or choose another --out"
+                    f"{self.out}: {IN_USE}; wait for it or choose another --out"
                 ) from None
             self._clear_away()
             yield

@@ -172,20 +172,32 @@ def map_uncertainty(fit: LensFit, at: Nodes) -> LensMap:
     rotation that best undoes it over the covered nodes is taken off before propagation (mrcal's
     documentation calls it the implied rotation).
     """
-    rays = _rays(fit.camera, at.pixels.reshape(-1, 2))
+    good, undone = by_intrinsics(fit.camera, at)
+    spread = undone @ fit.covariance @ undone.swapaxes(-1, -2)
+    std = np.full(len(good), np.nan)
+    std[good] = np.sqrt(np.maximum(np.linalg.eigvalsh(spread)[:, -1], 0))
+    return LensMap(at.pixels, at.covered, std.reshape(at.covered.shape))
+
+
+def by_intrinsics(camera: Camera, at: Nodes) -> tuple[BoolArray, FloatArray]:
+    """Return how rays at the nodes move over the imager with the intrinsics, rotation taken off.
+
+    Returns
+    -------
+    tuple
+        At which nodes the model has a ray, shape (nodes,); derivatives there, px, shape
+        (good nodes, 2, 4 + k).
+    """
+    rays = _rays(camera, at.pixels.reshape(-1, 2))
     good = finite(rays)
-    projection = project_points(fit.camera, rays[good])
+    projection = project_points(camera, rays[good])
     by_lens = projection.by_intrinsics
     # A small rotation w moves a ray r by w x r.
     by_turn = -projection.by_point @ _cross(rays[good])
     inside = at.covered.ravel()[good]
     turn = by_turn[inside].reshape(-1, 3)
     lens = by_lens[inside].reshape(len(turn), -1)
-    undone = by_lens - by_turn @ np.linalg.lstsq(turn, lens, rcond=None)[0]
-    spread = undone @ fit.covariance @ undone.swapaxes(-1, -2)
-    std = np.full(len(rays), np.nan)
-    std[good] = np.sqrt(np.maximum(np.linalg.eigvalsh(spread)[:, -1], 0))
-    return LensMap(at.pixels, at.covered, std.reshape(at.covered.shape))
+    return good, by_lens - by_turn @ np.linalg.lstsq(turn, lens, rcond=None)[0]
 
 
 def fit_name(fit: LensFit) -> str:

@@ -19,16 +19,12 @@ import numpy as np
 
 from calib.core.arrays import FloatArray, IntArray
 from calib.core.errors import EstimationError
-from calib.images.bundle import DONE, MAX_STEPS, inverse, proven
-from calib.images.repeats import summed
+from calib.images.bundle import DONE, MAX_STEPS, inverse
+from calib.images.disagreement import view_factor
 
 _FIRST_DAMPING = 1e-4
 _MAX_DAMPING = 1e12
 _POLISHING_STEPS = 4
-
-
-OPEN = 1e-10
-"""Share of the greatest information, unknowns scaled, below which a direction counts as open."""
 
 
 class ViewNormals(NamedTuple):
@@ -84,8 +80,15 @@ class Reduced:
         return inverse(self.normals.sum(axis=0))
 
 
-def minimise_views(evaluate: Callable[[Unknowns], ViewNormals], start: Unknowns) -> Reduced:
+def minimise_views(
+    evaluate: Callable[[Unknowns], ViewNormals], start: Unknowns, *, done: float = DONE
+) -> Reduced:
     """Minimise the sum of squares (Levenberg and Marquardt).
+
+    Parameters
+    ----------
+    done
+        Gain of the whitened cost at which to stop.
 
     Raises
     ------
@@ -98,7 +101,7 @@ def minimise_views(evaluate: Callable[[Unknowns], ViewNormals], start: Unknowns)
     damping = _FIRST_DAMPING
     for _ in range(MAX_STEPS):
         step, gain = _step(normals, damping)
-        if gain < DONE and damping <= 1:
+        if gain < done and damping <= 1:
             return _polished(evaluate, at, normals)
         trial = _moved(at, step)
         found = evaluate(trial)
@@ -117,29 +120,10 @@ def minimise_views(evaluate: Callable[[Unknowns], ViewNormals], start: Unknowns)
 def dispersion(reduced: Reduced, columns: IntArray, clusters: IntArray) -> float:
     """Return how much more views contradict each other than independent noise explains.
 
-    In the shared unknowns `columns`, the others eliminated; as `calib.images.bundle.dispersion`,
-    with the cluster of each view. Directions that the views leave open are left out.
+    In the shared unknowns `columns`, the others eliminated; see
+    `calib.images.disagreement.view_factor`.
     """
-    matrix = reduced.normals.sum(axis=0)
-    others = np.setdiff1d(np.arange(len(matrix)), columns)
-    own = np.zeros((len(columns), len(matrix)))
-    own[np.arange(len(columns)), columns] = 1.0
-    if len(others):
-        own[:, others] = -matrix[np.ix_(columns, others)] @ inverse(matrix[np.ix_(others, others)])
-    marginal = own @ matrix @ own.T
-    scale = np.sqrt(np.diag(marginal))
-    value, vector = np.linalg.eigh(marginal / np.outer(scale, scale))
-    shown = value > OPEN * value[-1]
-    root = own.T @ (vector[:, shown] / np.sqrt(value[shown]) / scale[:, None])
-    spread = reduced.spread()
-    scores, normals = summed(reduced.scores, clusters), summed(reduced.normals, clusters)
-    found = float(((scores @ root) ** 2).sum())
-    share = root.T @ (normals - normals @ spread @ normals) @ root
-    expected = float(np.trace(share, axis1=-2, axis2=-1).sum())
-    square = float((share**2).sum())
-    if expected <= OPEN:
-        return 1.0
-    return proven(found / expected, freedom=expected**2 / square)
+    return view_factor(reduced.normals, reduced.scores, columns, clusters)
 
 
 def _moved(at: Unknowns, step: Unknowns) -> Unknowns:
@@ -161,12 +145,18 @@ def _polished(
         if not 0 <= next_gain < gain:
             break
         at, normals, step, gain = trial, found, next_step, next_gain
-    matrix, gradient = _eliminated(normals, 0.0)
+    matrix, gradient = eliminated(normals, 0.0)
     return Reduced(at, matrix, gradient, normals.cost)
 
 
-def _eliminated(normals: ViewNormals, damping: float) -> tuple[FloatArray, FloatArray]:
-    """Return matrices and gradients of the shared unknowns, view by view."""
+def eliminated(normals: ViewNormals, damping: float) -> tuple[FloatArray, FloatArray]:
+    """Return matrices and gradients of the shared unknowns, view by view.
+
+    Parameters
+    ----------
+    damping
+        By which the diagonals of the views' own matrices are enlarged, in parts.
+    """
     own = _damped(normals.own, damping)
     right = np.concatenate([normals.mixed.swapaxes(-1, -2), normals.own_gradient[..., None]], -1)
     solved = np.linalg.solve(own, right)
@@ -184,7 +174,7 @@ def _damped(own: FloatArray, damping: float) -> FloatArray:
 
 def _step(normals: ViewNormals, damping: float) -> tuple[Unknowns, float]:
     """Return the damped step and the gain of the cost that it promises."""
-    matrices, gradients = _eliminated(normals, damping)
+    matrices, gradients = eliminated(normals, damping)
     matrix, gradient = matrices.sum(axis=0), gradients.sum(axis=0)
     diagonal = np.diag(normals.shared.sum(axis=0))
     scale = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))

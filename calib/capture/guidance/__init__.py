@@ -1,0 +1,1 @@
+"""Where the board is to be held next: pictures chosen by what they make known."""

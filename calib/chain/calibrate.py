@@ -93,7 +93,7 @@ def calibrate(
     fingerprint = run_fingerprint(dataset.sha256, vars(options))
     store = Store(out, announce, progress)
     with store.locked():
-        claim(out, root=dataset.root, sha256=dataset.sha256)
+        claim(out, dataset.owner)
         images = image_stages(dataset, store, options.seed)
         failures = images.failures()
         gaze = None

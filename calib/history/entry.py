@@ -22,15 +22,19 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic_core import from_json
 
 from calib.core.arrays import FloatArray
+from calib.core.errors import InputError
+from calib.core.limited import read_limited
 from calib.core.seal import is_edited
 from calib.geometry.parameters import INDEX
+from calib.instrument.calibration_file import FILE_LIMIT_BYTES
+from calib.stages.manifest import MANIFEST, refuse_broken
 
 RESULT, CERTIFICATE, RUN = "calibration.json", "certificate.xml", "run.toml"
 
 ROUNDING = 1e-6
 """Of correlations."""
 
-FILES = (RESULT, CERTIFICATE, RUN)
+FILES = (RESULT, CERTIFICATE, RUN, MANIFEST)
 """All that is read of a folder."""
 
 _NAMESPACE = "https://ptb.de/dcc"
@@ -47,6 +51,10 @@ CHUNK_BYTES = 16_384
 
 _RUN_SECTION = re.compile(r"^\[run\]\n(?:[^\[\n].*\n|\n)*", re.MULTILINE)
 """The section of run.toml that says when the run ended: all of it takes ten times as long."""
+
+
+class GatesFailedError(ValueError):
+    """A calibration's gates failed: it is told, and is no fault of the files."""
 
 
 @dataclass(frozen=True)
@@ -127,15 +135,15 @@ def read_entry(folder: Path) -> Entry:
 
     Raises
     ------
+    GatesFailedError
+        If its calibration must not be used.
     ValueError
-        If its calibration cannot be read; the text says why.
+        If it cannot be read, was edited or is of no whole run; the text says why.
     """
+    content = _whole(folder, RESULT)
     try:
-        content = (folder / RESULT).read_bytes()
         raw = from_json(content)
         document = _Document.model_validate(raw)
-    except OSError as error:
-        raise ValueError(error.strerror or str(error)) from error
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"]) or "the file"
@@ -144,7 +152,7 @@ def read_entry(folder: Path) -> Entry:
         raise ValueError(f"is no JSON ({error})") from error
     failed = [gate.name for gate in document.gates if not gate.passed]
     if failed:
-        raise ValueError(f"must not be used: gate {', '.join(failed)} failed")
+        raise GatesFailedError(f"must not be used: gate {', '.join(failed)} failed")
     if is_edited(raw):
         raise ValueError("was edited after the run that wrote it")
     m = document.measurement
@@ -174,6 +182,19 @@ def read_entry(folder: Path) -> Entry:
     )
 
 
+def _whole(folder: Path, name: str) -> bytes:
+    """Return the bytes of a file beside a calibration, which must be those that the run wrote."""
+    path = folder / name
+    try:
+        content = read_limited(path, FILE_LIMIT_BYTES, regular=True)
+        refuse_broken(path, content)
+    except InputError as error:
+        raise ValueError(str(error)) from error
+    except OSError as error:
+        raise ValueError(f"{name}: {error.strerror or error}") from error
+    return content
+
+
 def _refuse_impossible(m: _Measurement, covariance: FloatArray) -> None:
     """Raise if no rig can have such a calibration: its charts would show no number, or a lie."""
     if len(set(m.names)) < len(m.names) or "baseline_mm" not in m.names:
@@ -193,9 +214,11 @@ def _refuse_impossible(m: _Measurement, covariance: FloatArray) -> None:
 
 def _certified(folder: Path, dataset_sha256: str) -> tuple[str | None, str | None]:
     """Return serial number and date of the certificate beside a calibration, as far as stated."""
+    if not (folder / CERTIFICATE).exists():
+        return None, None
     try:
-        head = _administrative_data(folder / CERTIFICATE)
-    except (OSError, etree.XMLSyntaxError):
+        head = _administrative_data(_whole(folder, CERTIFICATE))
+    except etree.XMLSyntaxError:
         return None, None
     if head is None:
         return None, None
@@ -206,27 +229,29 @@ def _certified(folder: Path, dataset_sha256: str) -> tuple[str | None, str | Non
     return None if found in (None, "", "not stated", dataset_sha256) else found, dated
 
 
-def _administrative_data(path: Path) -> etree._Element | None:
+def _administrative_data(content: bytes) -> etree._Element | None:
     """Return the part of a certificate that says what it is of; None if there is none."""
     parser = etree.XMLPullParser(
         ("end",), tag=_ADMINISTRATIVE, resolve_entities=False, no_network=True
     )
-    with path.open("rb") as file:
-        while chunk := file.read(CHUNK_BYTES):
-            parser.feed(chunk)
-            for _, element in parser.read_events():
-                return element if isinstance(element, etree._Element) else None
+    for start in range(0, len(content), CHUNK_BYTES):
+        parser.feed(content[start : start + CHUNK_BYTES])
+        for _, element in parser.read_events():
+            return element if isinstance(element, etree._Element) else None
     return None
 
 
 def _finished(folder: Path) -> str:
     """Return when a run ended, as run.toml has it; empty where it does not say."""
+    if not (folder / RUN).exists():
+        return ""
+    content = _whole(folder, RUN)
     try:
-        text = (folder / RUN).read_text(encoding="utf-8")
+        text = content.decode("utf-8")
         section = _RUN_SECTION.search(text)
         run: dict[str, Any] = tomllib.loads(section.group() if section else text)
         return str(run["run"]["finished"])
-    except (OSError, ValueError, KeyError, TypeError):
+    except (ValueError, KeyError, TypeError, RecursionError):
         return ""
 
 

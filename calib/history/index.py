@@ -13,7 +13,7 @@ import json
 import sqlite3
 from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -57,6 +57,8 @@ class Indexed:
         Old and new path.
     unreadable
         Path and reason.
+    failed
+        Path and reason of those that must not be used.
     """
 
     calibrations: int
@@ -65,6 +67,7 @@ class Indexed:
     deleted: tuple[str, ...]
     moved: tuple[tuple[str, str], ...]
     unreadable: tuple[tuple[str, str], ...]
+    failed: tuple[tuple[str, str], ...] = ()
 
 
 @contextmanager
@@ -118,10 +121,11 @@ def update(index: Path, roots: Sequence[Path]) -> Indexed:
         seen = scan(roots, known | {p: s for p, s in first.items() if s.entry or s.fault})
         before = dict(connection.execute("SELECT path, sha256 FROM calibration"))
         entries = [s.entry for s in seen.values() if s.entry is not None]
-        unreadable = [(path, s.fault) for path, s in seen.items() if s.fault]
+        bad = {path for path, s in seen.items() if s.fault}
+        failed = [(p, s.fault) for p, s in seen.items() if s.fault and s.has_failed]
+        unreadable = [(p, s.fault) for p, s in seen.items() if s.fault and not s.has_failed]
         now = {p: before[p] for p, s in seen.items() if not (s.entry or s.fault)}
         now |= {e.path: e.sha256 for e in entries}
-        bad = {path for path, _ in unreadable}
         gone = _gone(before, roots, now) | (bad & set(before))
         connection.executemany("DELETE FROM calibration WHERE path=?", [(p,) for p in gone])
         connection.executemany("DELETE FROM stamp WHERE path=?", [(p,) for p in gone])
@@ -133,7 +137,8 @@ def update(index: Path, roots: Sequence[Path]) -> Indexed:
             [(e.path, seen[e.path].stamp) for e in entries],
         )
         connection.execute("COMMIT")
-    return _differences(before, now, gone - bad, unreadable)
+    found = _differences(before, now, gone - bad, unreadable)
+    return replace(found, failed=tuple(failed))
 
 
 def _make_tables(connection: sqlite3.Connection) -> None:

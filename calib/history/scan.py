@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TypeAlias
 
 from calib.core.errors import InputError
-from calib.history.entry import FILES, RESULT, Entry, read_entry
+from calib.history.entry import FILES, RESULT, Entry, GatesFailedError, read_entry
 
 YOUNG_S = 2.5
 """File systems in use keep times to within 2 s."""
@@ -35,12 +35,15 @@ class Seen:
     entry
         The calibration; None if it cannot be read, or is in the index as it is.
     fault
-        Why it cannot be read; empty if it can.
+        Why it is not taken; empty if it is.
+    has_failed
+        Whether that is because its gates failed, and no fault of its files.
     """
 
     stamp: Stamp
     entry: Entry | None
     fault: str = ""
+    has_failed: bool = False
 
 
 def refuse_missing(roots: Sequence[Path]) -> None:
@@ -88,7 +91,7 @@ def _read(folder: Path, stamp: Stamp) -> Seen:
     try:
         return Seen(stamp, read_entry(folder))
     except ValueError as error:
-        return Seen(stamp, None, str(error))
+        return Seen(stamp, None, str(error), isinstance(error, GatesFailedError))
 
 
 def _stamp(folder: Path, now: float) -> Stamp:

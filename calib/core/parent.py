@@ -1,9 +1,9 @@
 """Processes that end with the one that started them, however that ends.
 
 What is killed cannot tell its children. So these ask the kernel to be killed in turn (Linux,
-``prctl(2)``, PR_SET_PDEATHSIG): at once, also while they compute and say nothing. Nothing on disk is
-harmed, as each file appears whole or not at all. Where the kernel has no such call they notice at
-their next word to the one who has gone.
+``prctl(2)``, PR_SET_PDEATHSIG): at once, also while they compute and say nothing. Nothing on disk
+is harmed, as each file appears whole or not at all. Where the kernel has no such call they notice
+at their next word to the one who has gone.
 """
 
 from __future__ import annotations

@@ -427,7 +427,7 @@ def _joined(readings: list[Readings], n: int) -> Readings:
     return Readings(*(np.concatenate(parts) for parts in zip(*readings, strict=True)))
 
 
-def c2_poses(problem: Problem, at: Unknowns, errors: FloatArray) -> FloatArray:
+def camera_poses(problem: Problem, at: Unknowns, errors: FloatArray) -> FloatArray:
     """Return board poses of pictures, rad and mm, in the camera that took each, shape (i, 6).
 
     Parameters

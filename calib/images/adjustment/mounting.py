@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 
 from calib.core.arrays import FloatArray
@@ -148,3 +149,24 @@ def pose_of(rig: FloatArray, reading: float, error: float = 0.0) -> FloatArray:
     pose[:3, :3] = c2.back[0].T
     pose[:3, 3] = c2.point + pose[:3, :3] @ c2.mount
     return pose
+
+
+def pose_by_rig(rig: FloatArray, reading: float) -> tuple[FloatArray, FloatArray]:
+    """Return 1T2 as rotation vector and translation, shape (6,), with d/d(`RIG`), shape (6, 13)."""
+    pose = pose_of(rig, reading)
+    turn, slope = cv2.Rodrigues(pose[:3, :3])
+    c2 = turned(rig, np.array([reading]), np.zeros(1))
+    by_turn = np.zeros((len(RIG), 3, 3))
+    for k, name in enumerate(ENCODER):
+        by_turn[RIG.index(name)] = c2.by_turn[0].T * c2.basis[0, k]
+    for name, part in zip(_TURNS, c2.by_angle, strict=True):
+        by_turn[RIG.index(name)] = part[0].T
+    by = np.zeros((6, len(RIG)))
+    # cv2 returns d(vector)/d(matrix), shape (9, 3), entries of the matrix row by row.
+    by[:3] = slope.reshape(-1, 3).T @ by_turn.reshape(len(RIG), 9).T
+    by[3:] = (by_turn @ c2.mount).T
+    for name, axis in _SHIFTS.items():
+        by[3 + axis, RIG.index(name)] += 1.0
+    for axis, name in enumerate(_MOUNT):
+        by[3:, RIG.index(name)] += pose[:3, axis]
+    return np.concatenate([turn.ravel(), pose[:3, 3]]), by

@@ -6,7 +6,7 @@ import numpy as np
 
 from calib.chain.images import ImageStages, besides_pairs, camera_pair
 from calib.dataset.contents import Dataset
-from calib.dataset.manifest import Encoder
+from calib.dataset.encoder import Encoder
 from calib.images.adjustment.gather import Rows, Swept, Taken
 from calib.images.adjustment.result import Adjustment, adjust
 from calib.stages.store import Staged, Store, given, stage
@@ -17,7 +17,7 @@ def adjustment_stage(
 ) -> Staged[Adjustment] | None:
     """Return the adjustment; None if no pictures of both cameras go with readings."""
     encoder, rig = dataset.manifest.encoder, camera_pair(dataset, images.intrinsics)
-    if encoder is None or rig is None or dataset.board is None or len(images.corners) < 2:  # noqa: PLR2004 - two cameras
+    if encoder is None or rig is None or dataset.board is None or len(images.corners) < 2:
         return None
     taken = pictures_taken(dataset, images, encoder)
     rows = zip(taken.rows.image_c1, taken.rows.image_c2, strict=True)

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from calib.chain.adjustment import adjustment_stage
 from calib.chain.images import ImageStages, image_observations, image_stages
 from calib.chain.outputs import write_outputs
 from calib.chain.rows import gaze_rows, gaze_setup, validation_setup
@@ -21,6 +22,7 @@ from calib.dataset.contents import Dataset
 from calib.dataset.tables import LengthTable
 from calib.diagnosis.correction import correct_rows
 from calib.diagnosis.engine import Attempt, diagnose
+from calib.diagnosis.independent import diagnose_references
 from calib.diagnosis.session import row_history
 from calib.fit.compare import compare_models
 from calib.fit.convex import fit_convex
@@ -94,6 +96,7 @@ def calibrate(
     with store.locked():
         claim(out, root=dataset.root, sha256=dataset.sha256)
         images = image_stages(dataset, store, options.seed)
+        adjustment = adjustment_stage(dataset, store, images)
         failures = images.failures()
         gaze = None
         if dataset.gaze is not None:
@@ -119,6 +122,8 @@ def calibrate(
             cameras=dataset.cameras,
             images=result,
             gaze=gaze,
+            adjustment=None if adjustment is None else adjustment.get(),
+            not_adjusted=None if adjustment is None else adjustment.failed,
             gates=all_gates(result, gaze, failures),
             warnings=(
                 *dataset.warnings,
@@ -257,6 +262,9 @@ def _measure(
     if validation is not None:
         measured = run(stage("validation", measure_validation,
                              calibrated, validation, fits, seed=seed))
+    diagnosis = run(stage("independent references", diagnose_references,
+                          diagnosis, calibrated, fitted.robust[selected], rows,
+                          optional(validation), optional(_lengths(dataset)), depths))
     evidence = run(stage("certified depths", gather_evidence,
                          calibrated, rows, optional(validation), optional(measured),
                          optional(_lengths(dataset)), seed=seed, **_certified(dataset)))

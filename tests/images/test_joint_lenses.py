@@ -17,7 +17,11 @@ from calib.images.bundle import deformed
 from calib.images.joint.changes import focal_changes
 from calib.images.joint.gather import Extra, gather
 from calib.images.joint.lens import refined_lenses
-from calib.images.joint.model import JointProblem, normals_of, residuals_of
+from calib.images.joint.model import (
+    JointProblem,
+    normals_of,
+    residuals_of,
+)
 from calib.images.joint.reduced import Unknowns
 from calib.images.joint.solve import JointSolve, solve_joint
 from calib.images.pairs import start_pairs

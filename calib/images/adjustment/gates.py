@@ -30,7 +30,7 @@ def adjustment_gates(found: Solution, stated_rad: float) -> tuple[Gate, ...]:
     stated_rad
         Standard uncertainty that is stated for a reading.
     """
-    left = _left_out(found)
+    left = left_out(found)
     rejected = found.rejected.sum(axis=1)
     rejected[left] = 0
     count = len(found.problem.pictures.names)
@@ -47,7 +47,8 @@ def adjustment_gates(found: Solution, stated_rad: float) -> tuple[Gate, ...]:
     )
 
 
-def _left_out(found: Solution) -> list[int]:
+def left_out(found: Solution) -> list[int]:
+    """Return places of the pictures that were left out whole."""
     kept = finite(found.residuals).sum(axis=-1)
     return [int(i) for i in np.flatnonzero(kept < MIN_CORNERS)]
 

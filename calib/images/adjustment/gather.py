@@ -16,8 +16,8 @@ from calib.geometry.board import Board, Corners
 from calib.geometry.camera import Camera
 from calib.geometry.parameters import ENCODER_CENTRE_RAD, INDEX, PARAMETERS
 from calib.geometry.poses import pose_matrix, pose_vector
-from calib.images.adjustment.model import BOW, Pictures, Problem
 from calib.images.adjustment.mounting import ENCODER, RIG, pose_of
+from calib.images.adjustment.problem import BOW, Pictures, Problem
 from calib.images.bundle import finite
 from calib.images.detection.grid import orient_like
 from calib.images.joint.reduced import Unknowns

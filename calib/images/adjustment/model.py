@@ -1,181 +1,24 @@
-"""All pictures of the board as one least-squares problem, with derivatives.
-
-Shared unknowns, in this order: intrinsics of C1 and of C2, each where it is not given; the bow of
-the board along x and along y; the free ones of the rig (`mounting.RIG`); the errors of readings at
-which several pictures were taken, in standard deviations. Own unknowns of a view: the pose of the
-board, in C1, or in C2 where C2 sees it alone at no reading. The error of a reading at which one
-picture was taken is eliminated in that picture; what is known beforehand is a view of its own, the
-last.
-"""
+"""The normal equations of the adjustment, view by view, with analytic derivatives."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 
 from calib.core.arrays import BoolArray, FloatArray, IntArray
-from calib.geometry.camera import Camera, camera_from_vector, intrinsic_vector
+from calib.geometry.camera import Camera
 from calib.geometry.poses import rotation
 from calib.images.adjustment.mounting import RIG, Turned, seen, seen_by_rig, seen_by_turn, turned
+from calib.images.adjustment.problem import POSE, Pictures, Problem
+from calib.images.board_errors import BoardSums, Equations
 from calib.images.bundle import deformed, finite, project_points
 from calib.images.joint.reduced import Unknowns, ViewNormals
 
-POSE = 6
-BOW = 2
-
 CHUNK = 64
 """Pictures whose derivatives are held at once: 2,000 pictures then take no more memory than 64."""
-
-
-@dataclass(frozen=True)
-class Pictures:
-    """Pictures of one board, i of them, by view of the board, v of them.
-
-    Parameters
-    ----------
-    names
-        Of the pictures.
-    kinds
-        What each was taken for: "lens", "pair", "row" or "sweep".
-    camera
-        0 for C1, 1 for C2, shape (i,).
-    view
-        Which view each shows, shape (i,).
-    exposure
-        At which of the e readings C2 took it, shape (i,); -1 for C1, and for pictures of C2 at a
-        reading that does not matter.
-    pixels
-        Corners found, px, shape (i, corners, 2); NaN where not.
-    readings_rad
-        Of the encoder, shape (e,).
-    """
-
-    names: tuple[str, ...]
-    kinds: tuple[str, ...]
-    camera: IntArray
-    view: IntArray
-    exposure: IntArray
-    pixels: FloatArray
-    readings_rad: FloatArray
-
-    @property
-    def views(self) -> int:
-        """Number of views, v."""
-        return int(self.view.max()) + 1
-
-    @property
-    def shared(self) -> IntArray:
-        """Readings at which several pictures were taken."""
-        taken = np.bincount(self.exposure[self.exposure >= 0], minlength=len(self.readings_rad))
-        return np.flatnonzero(taken > 1)
-
-    @property
-    def own(self) -> BoolArray:
-        """Which pictures were taken at a reading of their own, shape (i,)."""
-        return (self.exposure >= 0) & ~np.isin(self.exposure, self.shared)
-
-
-@dataclass(frozen=True)
-class Problem:
-    """The problem.
-
-    Parameters
-    ----------
-    pictures
-        What was observed.
-    points
-        Corners in the board's frame, mm, shape (corners, 3).
-    cameras
-        C1 and C2 to start from.
-    free
-        Whether the intrinsics of each are unknowns.
-    names
-        Free unknowns of the rig, in the order of `RIG`; the others are 0.
-    prior
-        Mean and standard deviation of each; an infinite one for none.
-    reading_std_rad
-        Standard deviation of the error of a reading, rad.
-    """
-
-    pictures: Pictures
-    points: FloatArray
-    cameras: tuple[Camera, Camera]
-    free: tuple[bool, bool]
-    names: tuple[str, ...]
-    prior: tuple[tuple[float, float], ...]
-    reading_std_rad: float
-
-    @property
-    def images(self) -> Pictures:
-        """The pictures, as `calib.images.joint` calls them."""
-        return self.pictures
-
-    def at_lens(self, camera: int) -> IntArray:
-        """Places of the intrinsics of a camera among the shared unknowns; none if it is given."""
-        counts = [
-            4 + len(c.distortion) if f else 0 for c, f in zip(self.cameras, self.free, strict=True)
-        ]
-        first = counts[0] if camera else 0
-        return np.arange(first, first + counts[camera])
-
-    @property
-    def at_bow(self) -> IntArray:
-        """Places of the board's bow, shape (2,)."""
-        first = len(self.at_lens(0)) + len(self.at_lens(1))
-        return np.arange(first, first + BOW)
-
-    @property
-    def at_rig(self) -> IntArray:
-        """Places of the free unknowns of the rig."""
-        first = int(self.at_bow[-1]) + 1
-        return np.arange(first, first + len(self.names))
-
-    @property
-    def at_held(self) -> IntArray:
-        """Places of the errors of shared readings."""
-        first = int(self.at_bow[-1]) + 1 + len(self.names)
-        return np.arange(first, first + len(self.pictures.shared))
-
-    @property
-    def size(self) -> int:
-        """Number of shared unknowns."""
-        return int(self.at_bow[-1]) + 1 + len(self.names) + len(self.pictures.shared)
-
-    def start(self, rig: FloatArray, bow: FloatArray, poses: FloatArray) -> Unknowns:
-        """Return the unknowns of the cameras given, a rig, a board and these poses, (v, 6)."""
-        lenses = [intrinsic_vector(c) for c, f in zip(self.cameras, self.free, strict=True) if f]
-        own = [RIG.index(name) for name in self.names]
-        held = np.zeros(len(self.pictures.shared))
-        return Unknowns(
-            np.concatenate([*lenses, bow, rig[own], held]), np.vstack([poses, np.zeros(POSE)])
-        )
-
-    def camera_at(self, x: FloatArray, camera: int) -> Camera:
-        """Return a camera with the intrinsics of shared unknowns."""
-        if not self.free[camera]:
-            return self.cameras[camera]
-        return camera_from_vector(x[self.at_lens(camera)], self.cameras[camera].image_size)
-
-    def board_at(self, x: FloatArray) -> FloatArray:
-        """Return the board's corners, mm, shape (corners, 3)."""
-        a, b = (float(v) for v in x[self.at_bow])
-        return deformed(self.points, (a, b))
-
-    def rig_at(self, x: FloatArray) -> FloatArray:
-        """Return all unknowns of the rig, shape (13,)."""
-        rig = np.zeros(len(RIG))
-        rig[[RIG.index(name) for name in self.names]] = x[self.at_rig]
-        return rig
-
-    def held_at(self, x: FloatArray) -> FloatArray:
-        """Return the errors of readings, rad, shape (e,); 0 for those of one picture."""
-        errors = np.zeros(len(self.pictures.readings_rad))
-        errors[self.pictures.shared] = self.reading_std_rad * x[self.at_held]
-        return errors
 
 
 class Readings(NamedTuple):
@@ -261,9 +104,47 @@ def evaluate(problem: Problem, at: Unknowns, weight: FloatArray) -> Evaluation:
     residuals = np.full(pictures.pixels.shape, np.nan)
     readings: list[Readings] = []
     for chunk in _chunks(pictures):
-        cost += _add_pictures(problem, state, chunk, weight, sums, residuals, readings)
+        found = _equations(problem, state, chunk, weight)
+        residuals[chunk.images] = found.residuals
+        cost += _add_pictures(problem, chunk, found, sums, readings)
     cost += _add_known(problem, at, sums)
     return Evaluation(sums._replace(cost=cost), residuals, _joined(readings, n))
+
+
+def board_covariance(
+    problem: Problem, at: Unknowns, weight: FloatArray, known: FloatArray
+) -> FloatArray:
+    """Return what errors of the board add to the covariance of the shared unknowns, (n, n).
+
+    At the minimum; `weight` as in `evaluate`, `known` the information beforehand, (n, n). See
+    `calib.images.board_errors`. Of a picture with a reading of its own, what the error of the
+    reading imitates is taken out of the derivatives by all other unknowns.
+    """
+    pictures = problem.pictures
+    sums = BoardSums(pictures.views, len(problem.points), problem.size)
+    state = _state(problem, at)
+    for chunk in _chunks(pictures):
+        found = _equations(problem, state, chunk, weight)
+        rows = found.rows.copy()
+        by = found.by_reading
+        size = (by**2).sum(axis=1, keepdims=True)
+        rows[..., -1:] -= by * found.errors[:, None, None]
+        part = (1 - 1 / np.sqrt(1 + size)) / np.where(size > 0, size, 1.0)
+        rows -= part * by * (by.swapaxes(-1, -2) @ rows)
+        shape = (len(rows), -1, 2)
+        by_shared = np.zeros((*rows.shape[:2], problem.size))
+        by_shared[..., found.place] = rows[..., : len(found.place)]
+        sums.add(
+            Equations(
+                pictures.view[chunk.images],
+                rows[..., -1].reshape(shape),
+                by_shared.reshape(*found.by_place.shape[:3], problem.size),
+                rows[..., len(found.place) : -1].reshape(*found.by_place.shape[:3], POSE),
+                found.by_place,
+            )
+        )
+    sums.add_known(known)
+    return sums.covariance(problem.points)
 
 
 def _chunks(pictures: Pictures) -> Iterator[_Chunk]:
@@ -303,75 +184,115 @@ def _placed(state: _State, views: IntArray) -> FloatArray:
     return placed
 
 
-def _add_pictures(
-    problem: Problem,
-    state: _State,
-    chunk: _Chunk,
-    weight: FloatArray,
-    sums: ViewNormals,
-    residuals: FloatArray,
-    readings: list[Readings],
-) -> float:
-    """Add the equations of some pictures to those of their views; return their cost."""
+class _Equations(NamedTuple):
+    """Whitened equations of m pictures, 0 where a corner is not used.
+
+    Parameters
+    ----------
+    place
+        Places of the k shared unknowns that they show.
+    rows
+        Derivatives by these and by the pose, and minus the residual, (m, 2 corners, k + 7).
+    by_place
+        Derivatives by a corner's place on the board, 1/mm, (m, corners, 2, 3).
+    by_reading
+        Derivative by the error of the picture's own reading, (m, 2 corners, 1); 0 without.
+    errors
+        That error, in standard deviations, shape (m,).
+    alone
+        Whether it has one, shape (m,).
+    residuals
+        Observed minus projected, px, shape (m, corners, 2).
+    """
+
+    place: IntArray
+    rows: FloatArray
+    by_place: FloatArray
+    by_reading: FloatArray
+    errors: FloatArray
+    alone: BoolArray
+    residuals: FloatArray
+
+
+def _equations(problem: Problem, state: _State, chunk: _Chunk, weight: FloatArray) -> _Equations:
+    """Return the equations of some pictures."""
     pictures, images = problem.pictures, chunk.images
     views = pictures.view[images]
-    placed = _placed(state, views)
+    placed, turn = _placed(state, views), state.turns[views]
     observed = pictures.pixels[images]
     used = (weight[images] > 0) & finite(observed)
     root = np.sqrt(np.where(used, weight[images], 0.0))[..., None]
     by_own = np.zeros((*placed.shape, POSE))
     by_own[..., :3] = np.einsum("vjab,nb->vnaj", state.slopes[views], state.board)
     by_own[..., 3:] = np.eye(3)
-    by_bow = state.turns[views][:, None, :, 2, None] * state.bow[None, :, None, :]
-    by_shared = [by_bow]
+    alone, errors = np.zeros(len(images), dtype=np.bool_), np.zeros(len(images))
+    by_turn = np.zeros((*placed.shape, 1))
+    by_rig: list[FloatArray] = []
     columns = [problem.at_bow]
-    alone = pictures.own[images] if chunk.turning else np.zeros(len(images), dtype=np.bool_)
-    error = np.zeros(len(images))
-    by_turn = None
     if chunk.turning:
-        exposure = pictures.exposure[images]
-        stated = pictures.readings_rad[exposure]
-        held = state.errors[exposure]
+        exposure, alone = pictures.exposure[images], pictures.own[images]
+        stated, held = pictures.readings_rad[exposure], state.errors[exposure]
         c2 = turned(state.rig, stated, held)
-        error = _reading_errors(problem, state, c2, placed, observed, root, alone)
-        c2 = turned(state.rig, stated, held + problem.reading_std_rad * error)
-        by_turn = problem.reading_std_rad * seen_by_turn(c2, placed)
-        own = [RIG.index(name) for name in problem.names]
+        errors = _reading_errors(problem, state, c2, placed, observed, root, alone)
+        c2 = turned(state.rig, stated, held + problem.reading_std_rad * errors)
+        by_turn = problem.reading_std_rad * seen_by_turn(c2, placed)[..., None]
         shared = exposure[:, None] == pictures.shared[None, :]
-        by_shared = [
-            c2.back[:, None] @ by_bow,
-            seen_by_rig(c2, placed)[..., own],
-            by_turn[..., None] * shared[:, None, None, :],
-        ]
+        own = [RIG.index(name) for name in problem.names]
+        by_rig = [seen_by_rig(c2, placed)[..., own], by_turn * shared[:, None, None, :]]
         columns += [problem.at_rig, problem.at_held]
-        by_own = c2.back[:, None] @ by_own
+        by_own, turn = c2.back[:, None] @ by_own, c2.back @ turn
         placed = seen(c2, placed)
+    by_bow = turn[:, None, :, 2, None] * state.bow[None, :, None, :]
     view = project_points(state.cameras[chunk.camera], placed.reshape(-1, 3))
-    shape = (*placed.shape[:2], 2)
-    residuals[images] = observed - view.pixels.reshape(shape)
+    shape = observed.shape
+    residuals = observed - view.pixels.reshape(shape)
     by_point = view.by_point.reshape(*shape, 3) * root[..., None]
-    off = np.where(used[..., None], -residuals[images], 0.0) * root
-    parts = [by_point @ np.concatenate([*by_shared, by_own], axis=-1), off[..., None]]
+    off = np.where(used[..., None], -residuals, 0.0) * root
+    parts = [by_point @ np.concatenate([by_bow, *by_rig, by_own], axis=-1), off[..., None]]
     if problem.free[chunk.camera]:
         parts.insert(0, view.by_intrinsics.reshape(*shape, -1) * root[..., None])
         columns.insert(0, problem.at_lens(chunk.camera))
     place = np.concatenate(columns)
-    rows = np.concatenate(parts, axis=-1).reshape(len(images), -1, len(place) + POSE + 1)
+    return _Equations(
+        place=place,
+        rows=np.concatenate(parts, axis=-1).reshape(len(images), -1, len(place) + POSE + 1),
+        by_place=by_point @ turn[:, None],
+        by_reading=(by_point @ by_turn).reshape(len(images), -1, 1) * alone[:, None, None],
+        errors=errors,
+        alone=alone,
+        residuals=residuals,
+    )
+
+
+def _add_pictures(
+    problem: Problem,
+    chunk: _Chunk,
+    found: _Equations,
+    sums: ViewNormals,
+    readings: list[Readings],
+) -> float:
+    """Add the equations of some pictures to those of their views; return their cost."""
+    rows, place, alone = found.rows, found.place, found.alone
     total = rows.swapaxes(-1, -2) @ rows
-    if by_turn is not None and alone.any():
-        own_turn = (by_point @ by_turn[..., None]).reshape(len(images), -1, 1) * alone[:, None, None]
-        mixed = (rows.swapaxes(-1, -2) @ own_turn)[..., 0]
-        mixed[:, -1] += error
-        total[:, -1, -1] += error**2
-        information = 1 + (own_turn[..., 0] ** 2).sum(axis=1)
+    if alone.any():
+        mixed = (rows.swapaxes(-1, -2) @ found.by_reading)[..., 0]
+        mixed[:, -1] += found.errors
+        total[:, -1, -1] += found.errors**2
+        information = 1 + (found.by_reading[..., 0] ** 2).sum(axis=1)
         total -= mixed[:, :, None] * mixed[:, None, :] / information[:, None, None]
-        by = np.zeros((len(images), problem.size))
+        by = np.zeros((len(rows), problem.size))
         by[:, place] = -mixed[:, : len(place)] / information[:, None]
         pose = -mixed[:, len(place) : -1] / information[:, None]
         readings.append(
-            Readings(images[alone], error[alone], 1 / information[alone], by[alone], pose[alone])
+            Readings(
+                chunk.images[alone],
+                found.errors[alone],
+                1 / information[alone],
+                by[alone],
+                pose[alone],
+            )
         )
-    _scatter(sums, views, place, total)
+    _scatter(sums, problem.pictures.view[chunk.images], place, total)
     return float(total[:, -1, -1].sum())
 
 

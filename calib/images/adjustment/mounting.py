@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 
 from calib.core.arrays import FloatArray
-from calib.geometry.parameters import ENCODER_CENTRE_RAD, INDEX, PARAMETERS, EncoderTerm
+from calib.geometry.parameters import ENCODER_CENTRE_RAD, NAMES, PARAMETERS, EncoderTerm
 
 HEIGHT, PITCH = "height_mm", "pitch_rad"
 """C2's centre down its image y axis from the axis point, and its turn about its image x axis: they
@@ -36,7 +36,7 @@ ENCODER: dict[str, EncoderTerm] = {
 """Parameters that change the turn, with their effects."""
 
 RIG: tuple[str, ...] = (
-    *sorted((*_SHIFTS, *ENCODER, *_TURNS[:3], "eccentricity_mm", "standoff_mm"), key=INDEX.get),
+    *(name for name in NAMES if name in {*_SHIFTS, *ENCODER, *_TURNS, *_MOUNT}),
     HEIGHT,
     PITCH,
 )

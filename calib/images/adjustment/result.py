@@ -12,9 +12,9 @@ from calib.core.gate import Gate
 from calib.geometry.board import Board, Corners
 from calib.geometry.camera import Camera, intrinsic_names
 from calib.geometry.parameters import MODELS, NAMES, STANDOFF
+from calib.images.adjustment.gates import adjustment_gates, left_out
 from calib.images.adjustment.gather import Taken, gather
-from calib.images.adjustment.gates import adjustment_gates
-from calib.images.adjustment.mounting import HEIGHT, PITCH, RIG, pose_by_rig, pose_of
+from calib.images.adjustment.mounting import HEIGHT, PITCH, RIG, pose_by_rig
 from calib.images.adjustment.solve import Solution, hold, solve
 from calib.images.bundle import inverse
 from calib.images.stereo.solve import CameraPair
@@ -61,8 +61,6 @@ class AdjustedModel:
     misfit, freedom
         Sum of squares beyond that of `COMPLETE`, in variances as the views show them, and how many
         parameters fewer are free.
-    contradicted
-        Whether that is more than chance explains.
     """
 
     model: str
@@ -84,7 +82,6 @@ class AdjustedModel:
     factors: tuple[float, float, float]
     misfit: float
     freedom: int
-    contradicted: bool
 
 
 @dataclass(frozen=True)
@@ -94,7 +91,9 @@ class Adjustment:
     Parameters
     ----------
     models
-        The models, `COMPLETE` last.
+        The models that the pictures do not contradict, `COMPLETE` last.
+    contradicted
+        Of the other models, what says so.
     images, kinds, camera
         The i pictures, what each was taken for ("lens", "pair", "row", "sweep"), and whose (0 for
         C1, 1 for C2).
@@ -102,7 +101,11 @@ class Adjustment:
         Of `COMPLETE`: observed minus projected, px, shape (i, corners, 2); NaN where missing or
         rejected.
     rejected
-        Corners found and left out, shape (i, corners).
+        Corners found and left out, shape (i, corners), those of pictures left out whole too.
+    left_out
+        Pictures left out whole: they contradict the others.
+    row_images
+        Gaze rows and the pictures that they name.
     sigma_px
         Standard deviation of a corner coordinate by camera and kind of picture.
     readings_rad, reading_errors_rad
@@ -114,11 +117,14 @@ class Adjustment:
     """
 
     models: tuple[AdjustedModel, ...]
+    contradicted: dict[str, str]
     images: tuple[str, ...]
     kinds: tuple[str, ...]
     camera: tuple[int, ...]
     residuals: FloatArray
     rejected: BoolArray
+    left_out: tuple[str, ...]
+    row_images: tuple[tuple[str, str], ...]
     sigma_px: dict[str, float]
     readings_rad: FloatArray
     reading_errors_rad: FloatArray
@@ -163,17 +169,23 @@ def adjust(
     found = solve(problem, start)
     reading = np.pi / 2 if taken.held_rad is None else taken.held_rad
     complete = _described(COMPLETE, found, found, reading)
+    contradicted = {name: _contradiction(found, _free(name)) for name in MODELS}
     models = tuple(
-        _described(name, hold(found, _free(name)), found, reading) for name in MODELS
+        _described(name, hold(found, _free(name)), found, reading)
+        for name, words in contradicted.items()
+        if not words
     )
     pictures = found.problem.pictures
     return Adjustment(
         models=(*models, complete),
+        contradicted={name: words for name, words in contradicted.items() if words},
         images=pictures.names,
         kinds=pictures.kinds,
         camera=tuple(int(c) for c in pictures.camera),
         residuals=found.residuals,
         rejected=found.rejected,
+        left_out=tuple(pictures.names[i] for i in left_out(found)),
+        row_images=_row_images(taken),
         sigma_px=found.sigma_px,
         readings_rad=pictures.readings_rad,
         reading_errors_rad=found.reading_errors_rad,
@@ -183,10 +195,36 @@ def adjust(
     )
 
 
+def _row_images(taken: Taken) -> tuple[tuple[str, str], ...]:
+    rows = taken.rows
+    named = zip(rows.ids, zip(rows.image_c1, rows.image_c2, strict=True), strict=True)
+    return tuple((row, image) for row, both in named for image in both if image is not None)
+
+
 def _free(model: str) -> tuple[str, ...]:
     """Return the free unknowns of the rig in a model: pictures show standoff, height and pitch."""
     wanted = {*MODELS[model].free, STANDOFF, HEIGHT, PITCH}
     return tuple(name for name in RIG if name in wanted)
+
+
+def _contradiction(found: Solution, names: tuple[str, ...]) -> str:
+    """Return what the pictures say against holding all but some unknowns at 0; "" if nothing.
+
+    Wald's test of the estimates, with priors.
+    """
+    problem = found.problem
+    dropped = [k for k, name in enumerate(problem.names) if name not in names]
+    at = problem.at_rig[dropped]
+    values, spread = found.reduced.at.shared[at], found.covariance[np.ix_(at, at)]
+    std = np.sqrt(np.diag(spread))
+    statistic = float(values / std @ np.linalg.solve(spread / np.outer(std, std), values / std))
+    if chi2.sf(statistic, len(at)) >= CONTRADICTED:
+        return ""
+    worst = int(np.argmax(np.abs(values / std)))
+    return (
+        f"the pictures contradict it: {problem.names[dropped[worst]]} is {values[worst]:.4g} with "
+        f"a standard uncertainty of {std[worst]:.2g} (chi2 {statistic:.0f} of {len(at)})"
+    )
 
 
 def _described(model: str, s: Solution, complete: Solution, reading: float) -> AdjustedModel:
@@ -227,7 +265,6 @@ def _described(model: str, s: Solution, complete: Solution, reading: float) -> A
         factors=s.factors,
         misfit=float(misfit),
         freedom=freedom,
-        contradicted=bool(freedom and chi2.sf(max(misfit, 0.0), freedom) < CONTRADICTED),
     )
 
 

@@ -3,7 +3,8 @@
 The robust scheme is that of `calib.images.joint.solve`. The variance of the errors of readings is a
 component of its own: a motor that rests on whole counts errs by much less than a count. The
 covariance is that of least squares, block by block (each lens, the rig) times the factor by which
-views contradict each other (`calib.images.joint.reduced.dispersion`).
+views contradict each other (`calib.images.joint.reduced.dispersion`), and what errors of the board
+add, which all views have alike (`calib.images.board_errors`).
 """
 
 from __future__ import annotations
@@ -15,7 +16,8 @@ import numpy as np
 
 from calib.core.arrays import BoolArray, FloatArray, IntArray
 from calib.geometry.camera import Camera
-from calib.images.adjustment.model import Evaluation, Problem, evaluate
+from calib.images.adjustment.model import Evaluation, board_covariance, evaluate
+from calib.images.adjustment.problem import Problem
 from calib.images.bundle import finite, proven
 from calib.images.joint.reduced import Reduced, Unknowns, ViewNormals, dispersion, minimise_views
 from calib.images.joint.solve import (
@@ -50,7 +52,7 @@ class Solution:
     weight
         Of each corner, 1/px^2, shape (i, corners); 0 where missing or rejected.
     covariance
-        Of the shared unknowns, with the factors, shape (n, n).
+        Of the shared unknowns, with the factors and the board's errors, shape (n, n).
     factors
         On the variances of the intrinsics of C1, of C2 (1 where given) and of the rig.
     clusters
@@ -210,12 +212,13 @@ def _solution(
     errors = problem.held_at(x)
     readings = found.readings
     errors[pictures.exposure[readings.image]] = problem.reading_std_rad * readings.value
+    board = board_covariance(problem, reduced.at, weight, reduced.normals[-1])
     used = weight > 0
     return Solution(
         problem=problem,
         reduced=reduced,
         weight=weight,
-        covariance=reduced.spread() * np.outer(scale, scale),
+        covariance=reduced.spread() * np.outer(scale, scale) + board,
         factors=(factors[0], factors[1], factors[2]),
         clusters=clusters,
         sigma_px=sigma_px,

@@ -18,7 +18,7 @@ from calib.core.arrays import BoolArray, FloatArray, IntArray
 from calib.geometry.camera import Camera
 from calib.images.bundle import finite
 from calib.images.checks import OUTLIER_SIGMAS, SIGMA_OF_MEDIAN
-from calib.images.joint.model import POSE, JointProblem, normals_of, residuals_of
+from calib.images.joint.model import POSE, JointProblem, board_covariance, normals_of, residuals_of
 from calib.images.joint.reduced import (
     Reduced,
     Unknowns,
@@ -56,15 +56,24 @@ class ImagesByView(Protocol):
     """Images of a board by view, as `calib.images.joint.model.BoardImages` has them."""
 
     @property
-    def kinds(self) -> tuple[str, ...]: ...
+    def kinds(self) -> tuple[str, ...]:
+        """What each was taken for."""
+
     @property
-    def camera(self) -> IntArray: ...
+    def camera(self) -> IntArray:
+        """0 for C1, 1 for C2, shape (i,)."""
+
     @property
-    def view(self) -> IntArray: ...
+    def view(self) -> IntArray:
+        """Which view each shows, shape (i,)."""
+
     @property
-    def pixels(self) -> FloatArray: ...
+    def pixels(self) -> FloatArray:
+        """Corners found, px, shape (i, corners, 2)."""
+
     @property
-    def views(self) -> int: ...
+    def views(self) -> int:
+        """Number of views."""
 
 
 @dataclass(frozen=True)
@@ -84,7 +93,7 @@ class JointSolve:
     board_warp_mm
         Bow of the board along x and y, mm.
     covariance
-        Of the shared unknowns, with the factors, shape (n, n).
+        Of the shared unknowns, with the factors and the board's errors, shape (n, n).
     factors
         On the variances of the intrinsics of C1, of C2 (1 where given) and of the pose of C2.
     clusters
@@ -157,7 +166,8 @@ def solve_joint(problem: JointProblem, start: Unknowns) -> JointSolve:
         else:
             used, searching = kept, not settled
             sigma = robust_sigmas(residuals, used, groups)
-    return _result(problem, reduced, residuals, used, dict(zip(labels, sigma, strict=True)))
+    sigma_px = dict(zip(labels, (float(v) for v in sigma), strict=True))
+    return _result(problem, reduced, residuals, used, weight, sigma_px)
 
 
 def _evaluation(problem: JointProblem, weight: FloatArray) -> Callable[[Unknowns], ViewNormals]:
@@ -266,6 +276,7 @@ def _result(
     reduced: Reduced,
     residuals: FloatArray,
     used: BoolArray,
+    weight: FloatArray,
     sigma_px: dict[str, float],
 ) -> JointSolve:
     x, spread = reduced.at.shared, reduced.spread()
@@ -282,7 +293,7 @@ def _result(
         cameras=(problem.camera_at(x, 0), problem.camera_at(x, 1)),
         pose_12=x[problem.at_pose],
         board_warp_mm=(bow_x, bow_y),
-        covariance=spread * np.outer(scale, scale),
+        covariance=spread * np.outer(scale, scale) + board_covariance(problem, reduced.at, weight),
         factors=(factors[0], factors[1], factors[2]),
         clusters=clusters,
         sigma_px={name: float(s) for name, s in sigma_px.items()},

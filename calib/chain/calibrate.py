@@ -18,6 +18,7 @@ from calib.checks.stereo_pose import pose_warnings
 from calib.checks.verdict import all_gates, all_warnings, disagreements
 from calib.core.errors import InputError
 from calib.dataset.contents import Dataset
+from calib.dataset.given_lens import given_lens_covariance
 from calib.dataset.tables import LengthTable
 from calib.diagnosis.correction import correct_rows
 from calib.diagnosis.engine import Attempt, diagnose
@@ -117,6 +118,7 @@ def calibrate(
             rig=dataset.manifest.rig,
             seed=options.seed,
             cameras=dataset.cameras,
+            camera_covariances={n: given_lens_covariance(dataset, n) for n in dataset.cameras},
             images=result,
             gaze=gaze,
             gates=all_gates(result, gaze, failures),

@@ -22,6 +22,7 @@ from calib.dataset.given_lens import given_lens_covariance
 from calib.dataset.tables import LengthTable
 from calib.diagnosis.correction import correct_rows
 from calib.diagnosis.engine import Attempt, diagnose
+from calib.diagnosis.independent import diagnose_references
 from calib.diagnosis.session import row_history
 from calib.fit.compare import compare_models
 from calib.fit.convex import fit_convex
@@ -93,7 +94,7 @@ def calibrate(
     fingerprint = run_fingerprint(dataset.sha256, vars(options))
     store = Store(out, announce, progress)
     with store.locked():
-        claim(out, root=dataset.root, sha256=dataset.sha256)
+        claim(out, dataset.owner)
         images = image_stages(dataset, store, options.seed)
         failures = images.failures()
         gaze = None
@@ -259,6 +260,9 @@ def _measure(
     if validation is not None:
         measured = run(stage("validation", measure_validation,
                              calibrated, validation, fits, seed=seed))
+    diagnosis = run(stage("independent references", diagnose_references,
+                          diagnosis, calibrated, fitted.robust[selected], rows,
+                          optional(validation), optional(_lengths(dataset)), depths))
     evidence = run(stage("certified depths", gather_evidence,
                          calibrated, rows, optional(validation), optional(measured),
                          optional(_lengths(dataset)), seed=seed, **_certified(dataset)))

@@ -311,10 +311,13 @@ class ValidationRow(Part):
 
 
 class CausePart(Part):
-    """A mistake that the rows show."""
+    """A mistake that calibration rows or independent references show."""
 
     cause: str = Field(description="name of a hypothesis")
     at: str | None = Field(None, description="row, rows or group where it struck")
+    seen_in: Literal["rows", "references"] = Field(
+        "rows", description="whether calibration rows or independent references show it"
+    )
     estimate: float | None = None
     std: float | None = None
     unit: str

@@ -14,6 +14,7 @@ from calib.core.errors import CalibError
 from calib.history.drift import EFFECTIVE
 from calib.history.read import read_run
 from calib.report.plain_page import Block, Cell, Link, Paragraph, PlainTable, State, plain_page
+from calib.stages.manifest import faults
 
 GENERATOR = "calib batch"
 
@@ -55,6 +56,9 @@ def line_of(outcome: Outcome, out: Path) -> Line:
         # What lies there may be of an earlier run.
         return Line(outcome.task.dataset, relative, outcome.ending, {}, outcome.said, ())
     documents = tuple(name for name in DOCUMENTS if (folder / name).exists())
+    if found := faults(folder):
+        # The run was whole when it ended: something else has written there.
+        return Line(outcome.task.dataset, relative, "refused", {}, (str(found[0]),), ())
     try:
         run = read_run(folder)
     except CalibError as error:

@@ -19,6 +19,7 @@ from calib.checks.stereo_pose import pose_warnings
 from calib.checks.verdict import all_gates, all_warnings, disagreements
 from calib.core.errors import InputError
 from calib.dataset.contents import Dataset
+from calib.dataset.given_lens import given_lens_covariance
 from calib.dataset.tables import LengthTable
 from calib.diagnosis.correction import correct_rows
 from calib.diagnosis.engine import Attempt, diagnose
@@ -94,7 +95,7 @@ def calibrate(
     fingerprint = run_fingerprint(dataset.sha256, vars(options))
     store = Store(out, announce, progress)
     with store.locked():
-        claim(out, root=dataset.root, sha256=dataset.sha256)
+        claim(out, dataset.owner)
         images = image_stages(dataset, store, options.seed)
         adjustment = adjustment_stage(dataset, store, images)
         failures = images.failures()
@@ -120,6 +121,7 @@ def calibrate(
             rig=dataset.manifest.rig,
             seed=options.seed,
             cameras=dataset.cameras,
+            camera_covariances={n: given_lens_covariance(dataset, n) for n in dataset.cameras},
             images=result,
             gaze=gaze,
             adjustment=None if adjustment is None else adjustment.get(),

@@ -7,12 +7,15 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from calib.core.arrays import FloatArray
 from calib.dataset.contents import Dataset
+from calib.dataset.given_lens import given_lens_covariance
 from calib.dataset.tables import GazeTable
 from calib.fit.priors import Measured
 from calib.geometry.board import Corners
+from calib.geometry.camera import intrinsic_names
 from calib.images import stages as images_stages
 from calib.images.contact_sheet import ContactSheet, Pictures, contact_sheet
 from calib.images.intrinsics.calibrate import Intrinsics
@@ -115,6 +118,8 @@ def image_stages(dataset: Dataset, store: Store, seed: int) -> ImageStages:
     if rig is not None:
         good = stereo if stereo is not None and stereo.failed is None else None
         shared = store.run(stage("shared errors", shared_errors, rig, optional(good)))
+    elif dataset.cameras:
+        shared = given("shared errors", _of_given_lenses(dataset))
     return ImageStages(
         corners=corners,
         sheets=sheets,
@@ -188,8 +193,15 @@ def _known_camera(
     camera = dataset.cameras.get(name)
     if camera is None:
         return None
-    count = 4 + len(camera.distortion)
-    return given(f"camera {name}", KnownCamera(camera, np.zeros((count, count))))
+    covariance = given_lens_covariance(dataset, name)
+    return given(f"camera {name}", KnownCamera(camera, covariance))
+
+
+def _of_given_lenses(dataset: Dataset) -> Shared:
+    """Return what all rows have wrong by given lenses, where tables name their pixels."""
+    names = [f"{n}.{part}" for n, c in dataset.cameras.items() for part in intrinsic_names(c)]
+    blocks = [given_lens_covariance(dataset, name) for name in dataset.cameras]
+    return Shared.of(tuple(names), block_diag(*blocks))
 
 
 def _camera_set(dataset: Dataset, intrinsics: Mapping[str, Staged[Intrinsics]]) -> CameraSet:

@@ -16,6 +16,7 @@ from calib.core.errors import CalibError
 from calib.core.gate import Gate
 from calib.dataset.load import load_dataset
 from calib.instrument.rig import RESULT, Rig, load
+from calib.stages.manifest import refuse_broken
 
 DONE, GATE_FAILED = 0, 3
 
@@ -35,7 +36,10 @@ class Calibrated:
     @cached_property
     def document(self) -> Mapping[str, Any]:
         """What calibration.json says, as Python objects."""
-        found: Mapping[str, Any] = json.loads((self.folder / RESULT).read_text(encoding="utf-8"))
+        file = self.folder / RESULT
+        content = file.read_bytes()
+        refuse_broken(file, content)
+        found: Mapping[str, Any] = json.loads(content)
         return found
 
     @property

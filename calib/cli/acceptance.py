@@ -6,7 +6,9 @@ import argparse
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
+from calib.cli.arguments import add_input
 from calib.core.gate import Gate
 
 DONE, GATE_FAILED = 0, 3
@@ -15,8 +17,18 @@ NAMED_FAULTS = 10
 """Of a kind that are named."""
 
 
-def add_acceptance(parser: argparse.ArgumentParser) -> None:
-    """Add the options by which a user takes a calibration that should not be used."""
+def add_calibration(
+    parser: argparse.ArgumentParser,
+    name: str = "calibration",
+    *,
+    metavar: str = "CALIBRATION.json",
+    **settings: Any,
+) -> None:
+    """Add a calibration that is read, and the options to use one that should not be used.
+
+    The settings are those of ``add_argument``. The command says if it was edited or failed.
+    """
+    add_input(parser, name, metavar=metavar, is_calibration=True, **settings)
     parser.add_argument(
         "--accept-failed", action="store_true", help="use a calibration whose gates failed"
     )

@@ -8,10 +8,13 @@ import sys
 from datetime import date
 from pathlib import Path
 
-from calib.cli.acceptance import DONE, GATE_FAILED, add_acceptance, warn_of_failed
+from calib.cli.acceptance import DONE, GATE_FAILED, add_calibration, warn_of_failed
 from calib.cli.arguments import add_input, add_output, positive
 from calib.core.errors import harmless
-from calib.stages.output_guard import OutputKind
+from calib.stages.output_guard import OutputKind, files_of
+
+NOT_ALL = 3
+"""Some calibrations were edited, damaged or of no whole run."""
 
 DEFAULT = Path("history.sqlite")
 HELP = f"default: {DEFAULT}"
@@ -30,7 +33,7 @@ SESSIONS = 5
 """At acceptance. A session costs minutes, and the more there are the less their error hides."""
 
 FLEET = "index.html"
-PAGES = OutputKind(is_folder=True, marks=(FLEET,))
+PAGES = OutputKind(is_folder=True, files=(("*.html", (b'content="calib history page"',)),))
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -38,7 +41,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     commands = parser.add_subparsers(dest="history_command", required=True, metavar="COMMAND")
 
     add = commands.add_parser("index", help="index the calibrations in folders, by rig")
-    add_input(add, "folders", nargs="+", metavar="DIR", help="folders with finished runs")
+    add_input(
+        add, "folders", nargs="+", metavar="DIR", is_calibration=True,
+        help="folders with finished runs",
+    )  # fmt: skip
     add_output(add, "--index", kind=INDEX, default=DEFAULT, metavar="FILE", help=HELP)
     add.set_defaults(run=_run_index)
 
@@ -70,7 +76,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add.set_defaults(run=_run_page)
 
     add = commands.add_parser("check", help="a check standard measured between calibrations")
-    add_input(add, "calibration", metavar="CALIBRATION.json")
+    add_calibration(add)
     add_input(add, "standard", metavar="STANDARD.toml", help="certified lengths and depths")
     add_input(add, "readings", metavar="READINGS.csv", help="date, and the columns of measure")
     add_output(add, "--out", kind=RECORD, metavar="HTML", help="page to write; default: none")
@@ -80,7 +86,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="sessions that make the reference; default: 5",
     )
-    add_acceptance(add)
     add.set_defaults(run=_run_check)
 
     add = commands.add_parser("due", help="when a rig is due for its next calibration")
@@ -146,6 +151,7 @@ def _run_index(arguments: argparse.Namespace) -> int:
         "changed": found.changed,
         "deleted": found.deleted,
         "moved": tuple(f"{old} to {new}" for old, new in found.moved),
+        "left out": tuple(f"{path}: {why}" for path, why in found.failed),
         "cannot be read": tuple(f"{path}: {why}" for path, why in found.unreadable),
     }
     for kind, paths in kinds.items():
@@ -154,7 +160,10 @@ def _run_index(arguments: argparse.Namespace) -> int:
         if len(paths) > SHOWN:
             print(f"  {kind}: and {len(paths) - SHOWN} more")
     print(f"{harmless(str(arguments.index))}: {found.calibrations} calibrations found")
-    return 0
+    if found.unreadable:
+        number = len(found.unreadable)
+        print(f"calib: {number} calibration(s) are not indexed, see above", file=sys.stderr)
+    return NOT_ALL if found.unreadable else DONE
 
 
 def _run_show(arguments: argparse.Namespace) -> int:
@@ -181,11 +190,10 @@ def _run_show(arguments: argparse.Namespace) -> int:
 
 def _run_chart(arguments: argparse.Namespace) -> int:
     from calib.core.errors import InputError
-    from calib.history.figure import chart_figure
+    from calib.history.drawing import chart_rows, one_drawing
     from calib.history.index import history
     from calib.history.quantities import series
     from calib.history.summary import ACCEPTED, since
-    from calib.report.plotting import svg
     from calib.stages.store import write_bytes
 
     accepted = arguments.accepted or ACCEPTED
@@ -196,7 +204,7 @@ def _run_chart(arguments: argparse.Namespace) -> int:
             what=f"has {len(entries)} calibrations, of which {accepted} make the reference",
             remedy="calibrate it again, or give a smaller --accepted",
         )
-    picture = svg(chart_figure(series(entries), accepted=accepted))
+    picture = one_drawing(chart_rows(series(entries), accepted=accepted)).encode()
     write_bytes(arguments.out, picture.replace(b"<svg ", b"<svg " + MARK, 1))
     print(f"{harmless(str(arguments.out))}: written")
     return 0
@@ -224,21 +232,22 @@ def _run_page(arguments: argparse.Namespace) -> int:
     from calib.history.index import history, rigs
     from calib.history.page import fleet_page, page_name, rig_page
     from calib.history.summary import ACCEPTED, since
-    from calib.stages.store import write_bytes
+    from calib.stages.store import make_folder, write_bytes
 
     asked = {"accepted": arguments.accepted or ACCEPTED, "tolerance_mm": arguments.tolerance}
     if arguments.rig is None and arguments.repaired is not None:
         raise UsageError("--repaired: name the rig that was repaired, by --rig")
     wanted = [arguments.rig] if arguments.rig else [rig for rig, _, _ in rigs(arguments.index)]
     pages = {rig: since(history(arguments.index, rig), arguments.repaired) for rig in wanted}
-    arguments.out.mkdir(parents=True, exist_ok=True)
-    overview = arguments.out / FLEET
-    if arguments.rig is None or not overview.exists():
+    make_folder(arguments.out)
+    names = [FLEET, *map(page_name, pages)]
+    places = files_of(arguments.out, names, PAGES, option="--out", force=arguments.force)
+    if arguments.rig is None or not places[FLEET].exists():
         fleet = [history(arguments.index, rig) for rig, _, _ in rigs(arguments.index)]
-        write_bytes(overview, fleet_page(fleet, **asked).encode())
+        write_bytes(places[FLEET], fleet_page(fleet, **asked).encode())
     for rig, entries in pages.items():
-        write_bytes(arguments.out / page_name(rig), rig_page(entries, **asked).encode())
-    said = overview if arguments.rig is None else arguments.out / page_name(arguments.rig)
+        write_bytes(places[page_name(rig)], rig_page(entries, **asked).encode())
+    said = places[FLEET if arguments.rig is None else page_name(arguments.rig)]
     print(f"{harmless(str(said))}: written")
     return 0
 

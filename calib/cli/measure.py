@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, TYPE_CHECKING
 
-from calib.cli.acceptance import NAMED_FAULTS, add_acceptance, warn_of_failed
+from calib.cli.acceptance import NAMED_FAULTS, add_calibration, warn_of_failed
 from calib.cli.arguments import STREAM, add_input, add_output
 from calib.cli.streams import standard_input
 from calib.cli.voice import add_voice, as_json_lines
@@ -37,7 +37,7 @@ POSITIONS = OutputKind(
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    add_input(parser, "calibration", metavar="CALIBRATION.json")
+    add_calibration(parser)
     add_input(parser, "table", metavar="TABLE.csv", help="- reads standard input, line for line")
     add_output(parser, "--out", kind=POSITIONS, metavar="CSV", help="default: standard output")
     instead = parser.add_mutually_exclusive_group()
@@ -50,7 +50,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--strict", action="store_true", help="stop at the first row that cannot be measured"
     )
-    add_acceptance(parser)
     add_voice(
         parser,
         json_help="write an object a row, JSON Lines; null is no figure, or no limit",

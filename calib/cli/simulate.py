@@ -9,15 +9,13 @@ from functools import partial
 from calib.cli.arguments import add_output, natural, whole
 from calib.cli.voice import add_voice
 from calib.core.errors import UsageError, harmless
-from calib.stages.output_guard import OutputKind
+from calib.stages.output_guard import NEW_FOLDER
 
 MOST_ROWS = 1_000_000
 """What a table of a dataset may hold."""
 
 LARGEST_SETTING = 1e6
 """Of a parameter: a kilometre of baseline, or as many radians, is a slip of the keyboard."""
-
-NEW_FOLDER = OutputKind(is_folder=True)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

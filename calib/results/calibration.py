@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from calib.core.arrays import FloatArray
 from calib.core.gate import Gate
 from calib.core.seal import with_digest
 from calib.core.version import __version__
@@ -118,6 +119,8 @@ class Calibration:
         Of all random numbers.
     cameras
         Given ones, by "c1" and "c2".
+    camera_covariances
+        What is uncertain of their intrinsics, px and 1, shape (4 + k, 4 + k) each.
     images
         What the images gave.
     gaze
@@ -142,6 +145,7 @@ class Calibration:
     sha256: str
     seed: int
     cameras: Mapping[str, Camera]
+    camera_covariances: Mapping[str, FloatArray]
     images: ImageResult
     gaze: GazeResult | None
     gates: tuple[Gate, ...]
@@ -177,7 +181,7 @@ def _document(c: Calibration) -> dict[str, Any]:
         "rig": c.rig.model_dump(exclude_none=True),
         "seed": c.seed,
     }
-    document |= images_document(c.cameras, c.images)
+    document |= images_document(c.cameras, c.camera_covariances, c.images)
     if c.gaze is not None:
         document |= _gaze(c.gaze)
     if c.adjustment is not None:

@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import distributed
@@ -18,6 +19,7 @@ from calib.batch.run import run_batch, tasks_of
 from calib.batch.summary import Line, csv_text, page
 from calib.batch.task import Task, calibrate_one
 from calib.core.errors import UsageError
+from calib.stages.store import Store, is_in_use
 from tests.cli.command import CALIB, DATASETS, process
 
 PAPER = DATASETS / "xu-wang-2017"
@@ -130,6 +132,33 @@ def test_a_run_that_crashes_is_told_as_such(
     outcome = calibrate_one(Task(str(PAPER), str(tmp_path / "out")))
     assert outcome.ending == "crashed"
     assert outcome.said == ("  base/linear", "ended with status -9")
+
+
+def test_a_folder_in_use_is_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A batch on a cluster was killed: its workers are still at what they were given."""
+    out, runs = tmp_path / "out", tmp_path / "runs"
+    program = tmp_path / "python"
+    program.write_text(
+        f"#!{sys.executable}\nfrom pathlib import Path\n"
+        "from calib.core.errors import UsageError\nfrom calib.stages.store import Store\n"
+        f"with Path({str(runs)!r}).open('a') as file:\n    file.write('x')\n"
+        f"try:\n    with Store(Path({str(out)!r})).locked():\n        pass\n"
+        "except UsageError as error:\n    raise SystemExit(f'calib: {error}') from None\n"
+    )
+    program.chmod(0o755)
+    monkeypatch.setattr("calib.batch.task._ENDINGS", {0: "passed", 1: "refused"})
+    monkeypatch.setattr(sys, "executable", str(program))
+    with ThreadPoolExecutor() as pool:
+        with Store(out).locked():
+            assert is_in_use(out)
+            waiting = pool.submit(calibrate_one, Task(str(PAPER), str(out)))
+            while not runs.exists():
+                time.sleep(0.02)
+            time.sleep(2.0)
+            assert not waiting.done()
+        assert waiting.result().ending == "passed"
+    assert not is_in_use(out)
+    assert len(runs.read_text()) == 2
 
 
 def test_names_of_runs(tmp_path: Path) -> None:

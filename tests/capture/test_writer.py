@@ -18,7 +18,7 @@ def test_what_a_killed_capture_left_is_cleared_and_its_journal_ended(tmp_path):
         folder.picture("gaze/c1/g01.png", np.zeros((4, 6), np.uint8))
     journal = tmp_path / "mine" / "session.jsonl"
     journal.write_text(journal.read_text() + '{"event": "ro')
-    left = tmp_path / "mine" / "gaze" / "c1" / ".g02.png.0123.part"
+    left = tmp_path / "mine" / "gaze" / "c1" / ".g02.png.0123456789abcdef.part"
     left.write_bytes(b"half")
     with growing(tmp_path / "mine") as folder:
         assert not left.exists()

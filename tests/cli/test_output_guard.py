@@ -9,27 +9,16 @@ import argparse
 import os
 import sqlite3
 import stat
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from command import GOOD, call, dataset, tree
+from command import GOOD, call, commands, dataset, tree
 
 from calib.cli.arguments import PathRole, guard_outputs, roles
 from calib.cli.main import parser
 from calib.core.errors import UsageError
 from calib.stages.output_guard import guarded
-from calib.stages.owner import claim
-
-
-def commands(parser: argparse.ArgumentParser) -> Iterator[argparse.ArgumentParser]:
-    """Yield every command, and the commands of commands."""
-    for action in parser._actions:
-        if isinstance(action, argparse._SubParsersAction):
-            for command in action.choices.values():
-                yield command
-                yield from commands(command)
-
+from calib.stages.owner import Owner, claim
 
 COMMANDS = list(commands(parser()))
 OUTPUTS = [
@@ -168,15 +157,23 @@ def test_run_of_another_dataset_is_not_replaced(tmp_path: Path) -> None:
     out, first, second = (tmp_path / name for name in ("reports/day1", "rig1/day1", "rig2/day1"))
     for folder in (out / ".stages", first, second):
         folder.mkdir(parents=True)
-    claim(out, root=first, sha256="a" * 64)
-    claim(out, root=first, sha256="b" * 64)  # edited
+    claim(out, Owner(first, "a" * 64, "day1", "7"))
+    claim(out, Owner(first, "b" * 64, "day1", "7"))  # edited
     with pytest.raises(UsageError, match=r"--out .*rig2-day1"):
-        claim(out, root=second, sha256="c" * 64)
-    claim(out, root=second, sha256="b" * 64)  # moved
+        claim(out, Owner(second, "c" * 64, "day1", "7"))
+    claim(out, Owner(second, "b" * 64, "day1", "7"))  # moved
     moved = tmp_path / "elsewhere"
     moved.mkdir()
     (tmp_path / "reports").rename(moved / "reports")
-    claim(moved / "reports" / "day1", root=moved / "rig2" / "day1", sha256="d" * 64)
+    claim(moved / "reports" / "day1", Owner(moved / "rig2" / "day1", "d" * 64, "day1", "7"))
+    # Another rig's disk at the same place: by the serial number, else by the dataset's name.
+    out, place = moved / "reports" / "day1", moved / "rig2" / "day1"
+    with pytest.raises(UsageError, match="name day1, serial 7"):
+        claim(out, Owner(place, "e" * 64, "day1", "8"))
+    claim(out, Owner(place, "e" * 64, "a new name", "7"))
+    with pytest.raises(UsageError, match="holds the run of another dataset"):
+        claim(out, Owner(place, "f" * 64, "day1"))
+    claim(out, Owner(place, "f" * 64, "a new name"))
 
 
 def test_database_of_another_origin_is_not_touched(

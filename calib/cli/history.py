@@ -190,11 +190,10 @@ def _run_show(arguments: argparse.Namespace) -> int:
 
 def _run_chart(arguments: argparse.Namespace) -> int:
     from calib.core.errors import InputError
-    from calib.history.figure import chart_figure
+    from calib.history.drawing import chart_rows, one_drawing
     from calib.history.index import history
     from calib.history.quantities import series
     from calib.history.summary import ACCEPTED, since
-    from calib.report.plotting import svg
     from calib.stages.store import write_bytes
 
     accepted = arguments.accepted or ACCEPTED
@@ -205,7 +204,7 @@ def _run_chart(arguments: argparse.Namespace) -> int:
             what=f"has {len(entries)} calibrations, of which {accepted} make the reference",
             remedy="calibrate it again, or give a smaller --accepted",
         )
-    picture = svg(chart_figure(series(entries), accepted=accepted))
+    picture = one_drawing(chart_rows(series(entries), accepted=accepted)).encode()
     write_bytes(arguments.out, picture.replace(b"<svg ", b"<svg " + MARK, 1))
     print(f"{harmless(str(arguments.out))}: written")
     return 0

@@ -19,7 +19,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from calib.core.arrays import FloatArray
 
@@ -156,4 +156,4 @@ def scatter_test(values: FloatArray, std: FloatArray) -> tuple[float, float]:
     mean = reference(values, std).value
     square = float((((values - mean) / std) ** 2).sum())
     freedom = len(values) - 1
-    return square / freedom, float(chi2.sf(square, freedom))
+    return square / freedom, float(chdtrc(freedom, square))

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from calib.history.causes import likely_causes
-from calib.history.figure import chart_figure
+from calib.history.drawing import chart_rows
 from calib.history.standard import Checked, degrees_of_freedom, first_alarm
 from calib.report.plain_page import Block, Cell, Drawing, Paragraph, PlainTable, State, plain_page
-from calib.report.plotting import svg
 
 GENERATOR = "calib history check"
 
@@ -78,7 +77,7 @@ def _causes(checked: Checked, accepted: int, since: int) -> list[str]:
             "one quantity does not tell the cause: certify lengths and depths at several distances"
         ]
     found = likely_causes(checked, accepted=accepted, since=since)
-    fit = [one for one in found if chi2.sf(one.chi2, freedom) > FITS]
+    fit = [one for one in found if chdtrc(freedom, one.chi2) > FITS]
     if not fit:
         return ["no single cause explains it: more than one thing has changed, or a target moved"]
     words = [f"{one.name}, by {one.size:.3g} +- {one.std:.1g} {one.unit}" for one in fit]
@@ -99,8 +98,7 @@ def page(title: str, checked: Checked, *, accepted: int) -> str:
         blocks.append(Paragraph("All charts are in control, and the last session agrees."))
     blocks.append(PlainTable("", head, [_states(row) for row in rows]))
     if len(checked.dates) > accepted:
-        figure = chart_figure(checked.series(), accepted=accepted)
-        blocks.append(Drawing("Charts", svg(figure).decode("utf-8")))
+        blocks.append(Drawing("Charts", chart_rows(checked.series(), accepted=accepted)))
     lines = [
         [date, *(f"{value:.6g}" for value in values)]
         for date, values in zip(checked.dates, checked.values, strict=True)

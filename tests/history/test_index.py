@@ -18,6 +18,9 @@ import pytest
 
 from calib.cli.main import main
 from calib.core.errors import InputError
+from calib.geometry.misclosure import depth_jacobian
+from calib.geometry.parameters import INDEX, vector
+from calib.geometry.plane import gaze_at
 from calib.history.entry import Entry, read_entry
 from calib.history.index import history, rigs, update
 from calib.history.page import page_name
@@ -302,7 +305,7 @@ def test_pages_lead_to_all_rigs_alarms_first(tmp_path: Path) -> None:
     assert "delta2 (Shewhart" in text
     one = (out / "R002.html").read_text()
     assert "ALARM 2021-06-24" in one
-    assert one.count("<svg") == 1
+    assert one.count("<svg") == 18
     assert "due on 2022-" in one
     assert "ALARM" not in (out / "R000.html").read_text()
 
@@ -386,3 +389,18 @@ def test_a_date_far_ahead_is_told(tmp_path: Path) -> None:
     found = due(entries, tolerance_mm=1e6)
     assert found is not None
     assert found[0] == date.max
+
+
+def test_charted_depths_are_those_of_the_jacobian(tmp_path: Path) -> None:
+    """Values and uncertainties of many calibrations at once against one by one."""
+    update(tmp_path / "i.sqlite", [fleet(tmp_path / "runs", of=1, each=5)])
+    entries = history(tmp_path / "i.sqlite", "R000")
+    z = np.linspace(*entries[0].range_mm, 3)
+    theta = [vector(dict(zip(e.names, e.values.tolist(), strict=True))) for e in entries]
+    gaze = gaze_at(theta[0], np.column_stack([np.zeros((3, 2)), z]))
+    for k, s in enumerate(series(entries)[-3:]):
+        for i, e in enumerate(entries):
+            exact = depth_jacobian(theta[i], gaze)
+            slope = exact.by_theta[k, [INDEX[name] for name in e.names]]
+            assert s.values[i] == pytest.approx(exact.z[k], rel=1e-12)
+            assert s.std[i] == pytest.approx(np.sqrt(slope @ e.covariance @ slope), rel=1e-5)

@@ -152,7 +152,7 @@ def test_command(
     assert "Check standard bar-3: 8 sessions, 2026-01-01 to 2026-01-08" in out
     assert "ALARM" not in out
     assert "in control" in page.read_text()
-    assert page.read_text().count("<svg") == 1
+    assert page.read_text().count("<svg") == 6
     table.write_text(readings(np.random.default_rng(3), 12, since=8, change={"delta2_rad": 2e-3}))
     assert main([*command, "--out", str(page)]) == 3
     assert "the encoder's zero has slipped" in capsys.readouterr().out

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from calib.chain.adjustment import adjustment_stage
 from calib.chain.images import ImageStages, image_observations, image_stages
 from calib.chain.outputs import write_outputs
 from calib.chain.rows import gaze_rows, gaze_setup, validation_setup
@@ -18,6 +19,7 @@ from calib.checks.stereo_pose import pose_warnings
 from calib.checks.verdict import all_gates, all_warnings, disagreements
 from calib.core.errors import InputError
 from calib.dataset.contents import Dataset
+from calib.dataset.given_lens import given_lens_covariance
 from calib.dataset.tables import LengthTable
 from calib.diagnosis.correction import correct_rows
 from calib.diagnosis.engine import Attempt, diagnose
@@ -95,6 +97,7 @@ def calibrate(
     with store.locked():
         claim(out, dataset.owner)
         images = image_stages(dataset, store, options.seed)
+        adjustment = adjustment_stage(dataset, store, images)
         failures = images.failures()
         gaze = None
         if dataset.gaze is not None:
@@ -118,8 +121,11 @@ def calibrate(
             rig=dataset.manifest.rig,
             seed=options.seed,
             cameras=dataset.cameras,
+            camera_covariances={n: given_lens_covariance(dataset, n) for n in dataset.cameras},
             images=result,
             gaze=gaze,
+            adjustment=None if adjustment is None else adjustment.get(),
+            not_adjusted=None if adjustment is None else adjustment.failed,
             gates=all_gates(result, gaze, failures),
             warnings=(
                 *dataset.warnings,

@@ -39,6 +39,7 @@ from calib.cli.examples import add_examples
 from calib.cli.streams import discard, open_streams, refused_output, settled, tell
 from calib.cli.voice import error_json, painted, print_json
 from calib.core.errors import CalibError
+from calib.core.parent import end_with_parent
 from calib.core.version import __version__
 
 DONE, DEFECT, REFUSED, GATE_FAILED = 0, 1, 2, 3
@@ -146,6 +147,7 @@ def parser() -> argparse.ArgumentParser:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return its exit status."""
+    end_with_parent()
     for name in _THREADS:
         os.environ[name] = "1"
     open_streams()

@@ -10,6 +10,7 @@ from calib.core.arrays import FloatArray
 from calib.dataset.contents import Dataset
 from calib.dataset.conventions import better_convention, misfit
 from calib.dataset.encoder import FURTHER
+from calib.dataset.given_lens import assumed_of_lens
 from calib.dataset.lens_slips import lens_doubts
 from calib.dataset.manifest import Gaze, Validation
 from calib.dataset.tables import GazeTable
@@ -55,6 +56,9 @@ def doubts(dataset: Dataset) -> Iterator[str]:
                 f"the centre of a {camera.image_size[0]} x {camera.image_size[1]} image: do "
                 "matrix and image_size belong to images of one size?"
             )
+        assumed = assumed_of_lens(dataset, name)
+        if assumed is not None:
+            yield assumed
         yield from (f"[cameras.{name}]: {doubt}" for doubt in lens_doubts(camera.distortion))
     yield from _per_cent(dataset)
     yield from _reading(dataset)

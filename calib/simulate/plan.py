@@ -145,7 +145,8 @@ def _draw_table_session(
         "validation": {"table": "validation.csv", "reference": "simulated"},
     }
     if measured:
-        manifest["cameras"] = {"c2": camera_section(rig.c2)}
+        exact = {"u_focal": 0.0, "u_centre_px": 0.0}
+        manifest["cameras"] = {"c2": camera_section(rig.c2) | exact}
     tables = {
         "gaze.csv": _table(rig, "g", gaze, residual_measured=measured),
         "validation.csv": _table(rig, "v", validation, residual_measured=measured),

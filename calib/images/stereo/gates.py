@@ -99,7 +99,8 @@ def lens_gates(changes: tuple[FocalChange, ...]) -> tuple[Gate, ...]:
     """Gates on the focal length of each camera being the same in all its pictures.
 
     Pairs tie both cameras together, so that a change of one shows in the other, too, but less: of
-    two, the one with the larger change in standard uncertainties fails.
+    two that were estimated each alone, the one with the larger change in standard uncertainties
+    fails.
     """
     worst = max((abs(c.change) / c.std for c in changes), default=0.0)
     gates = []
@@ -110,7 +111,7 @@ def lens_gates(changes: tuple[FocalChange, ...]) -> tuple[Gate, ...]:
         gates.append(
             gate(
                 f"{camera}-one-lens",
-                not bad or max(abs(c.change) / c.std for c in bad) < worst,
+                not any(c.together or abs(c.change) / c.std >= worst for c in bad),
                 f"{told} (limit {100 * FOCAL_CHANGE:g} % and {FOCAL_SIGMAS:g} u)",
                 remedy="a lens that changes with focus or distance cannot be one camera: switch "
                 "autofocus off, fix focus, zoom and crop, and take the lens pictures at the "

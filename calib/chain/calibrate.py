@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from calib.chain.adjustment import adjustment_stage
 from calib.chain.images import ImageStages, image_observations, image_stages
 from calib.chain.outputs import write_outputs
 from calib.chain.rows import gaze_rows, gaze_setup, validation_setup
@@ -97,6 +98,7 @@ def calibrate(
     with store.locked():
         claim(out, dataset.owner)
         images = image_stages(dataset, store, options.seed)
+        adjustment = adjustment_stage(dataset, store, images)
         failures = images.failures()
         gaze = None
         if dataset.gaze is not None:
@@ -123,6 +125,8 @@ def calibrate(
             camera_covariances={n: given_lens_covariance(dataset, n) for n in dataset.cameras},
             images=result,
             gaze=gaze,
+            adjustment=None if adjustment is None else adjustment.get(),
+            not_adjusted=None if adjustment is None else adjustment.failed,
             gates=all_gates(result, gaze, failures),
             warnings=(
                 *dataset.warnings,

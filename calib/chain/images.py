@@ -109,10 +109,10 @@ def image_stages(dataset: Dataset, store: Store, seed: int) -> ImageStages:
             if board is not None
         }
     )  # fmt: skip
-    rig = _rig(dataset, intrinsics)
+    rig = camera_pair(dataset, intrinsics)
     stereo = _stereo(dataset, store, corners, board, rig, intrinsics, seed)
     intrinsics = _refined(store, corners, intrinsics, stereo)
-    rig = _rig(dataset, intrinsics)
+    rig = camera_pair(dataset, intrinsics)
     sweep = _sweep(dataset, store, corners, board, intrinsics, stereo)
     shared = given("shared errors", Shared())
     if rig is not None:
@@ -210,7 +210,7 @@ def _camera_set(dataset: Dataset, intrinsics: Mapping[str, Staged[Intrinsics]]) 
     return CameraSet(c1, c2)
 
 
-def _rig(
+def camera_pair(
     dataset: Dataset, intrinsics: Mapping[str, Staged[Intrinsics]]
 ) -> Staged[CameraPair] | None:
     """Return both cameras, if both are known and pictures are taken with them."""
@@ -246,7 +246,7 @@ def _refined(
     }  # fmt: skip
 
 
-def _besides(dataset: Dataset, intrinsics: Mapping[str, Staged[Intrinsics]]) -> Besides:
+def besides_pairs(dataset: Dataset, intrinsics: Mapping[str, Staged[Intrinsics]]) -> Besides:
     """Return the images for lenses and rows, each once; validation is not used to fit."""
     lens, rows = [], []
     for which, name in enumerate(CAMERAS):
@@ -281,7 +281,7 @@ def _stereo(
     return store.run(stage(
         "stereo", images_stages.stereo,
         corners["c1"], corners["c2"], given("pairs", pairs),
-        given("images besides", _besides(dataset, intrinsics)), board, rig, seed=seed,
+        given("images besides", besides_pairs(dataset, intrinsics)), board, rig, seed=seed,
     ))  # fmt: skip
 
 

@@ -94,6 +94,10 @@ class BoardSums:
         self._squares += float(np.sum(images.off**2))
         self._count += 2 * int(e.any(axis=(-1, -2)).sum())
 
+    def add_known(self, information: FloatArray) -> None:
+        """Add what is known of the shared unknowns beforehand, shape (n, n)."""
+        self._shared += information
+
     def covariance(self, points: FloatArray) -> FloatArray:
         """Return what the board's errors add to the covariance of the unknowns, shape (n, n).
 

@@ -25,10 +25,12 @@ from calib.fit.linear import LinearFit
 from calib.fit.posterior import Posterior
 from calib.fit.robust import RobustFit
 from calib.geometry.camera import Camera
+from calib.images.adjustment.result import Adjustment
 from calib.images.result import ImageResult
 from calib.instrument.averaging import ModelAverage
 from calib.instrument.calibrated import CalibratedInstrument, DepthTable, ValidationResult
 from calib.instrument.calibration_file import FORMAT
+from calib.results.adjustment_document import adjustment_fits, adjustment_section
 from calib.results.average_document import average_depths, average_document
 from calib.results.diagnosis_document import correction_document, diagnosis_document
 from calib.results.fits_document import (
@@ -127,6 +129,10 @@ class Calibration:
         What must hold before the result may be used.
     warnings
         What the reader should know and no gate covers.
+    adjustment
+        All pictures in one least squares; None where there are none that tell the rig.
+    not_adjusted
+        Why there are pictures and yet no adjustment.
     rows
         Of the gaze rows, by which runs see whether they share some.
     disagreements
@@ -144,6 +150,8 @@ class Calibration:
     gaze: GazeResult | None
     gates: tuple[Gate, ...]
     warnings: tuple[str, ...]
+    adjustment: Adjustment | None = None
+    not_adjusted: str | None = None
     rows: RowSketch | None = None
     rig: Rig = field(default_factory=Rig)
     disagreements: tuple[str, ...] = ()
@@ -176,6 +184,15 @@ def _document(c: Calibration) -> dict[str, Any]:
     document |= images_document(c.cameras, c.camera_covariances, c.images)
     if c.gaze is not None:
         document |= _gaze(c.gaze)
+    if c.adjustment is not None:
+        rows = None if c.gaze is None else c.gaze.rows
+        document["fits"] = document.get("fits", {}) | adjustment_fits(c.adjustment, rows)
+        document["adjustment"] = adjustment_section(c.adjustment)
+        refused = {f"{name}/adjustment": why for name, why in c.adjustment.contradicted.items()}
+        document["not_fitted"] = document.get("not_fitted", {}) | refused
+    if c.not_adjusted is not None:
+        refused = {"adjustment": c.not_adjusted}
+        document["not_fitted"] = document.get("not_fitted", {}) | refused
     document["gates"] = [vars(gate) for gate in c.gates]
     document["warnings"] = [*c.disagreements, *c.warnings]
     return with_digest(_clean(document))

@@ -41,6 +41,7 @@ from calib.instrument.evidence import gather_evidence
 from calib.mirror.gaze import mirror_gaze
 from calib.mirror.problem import Mirror, mirror_priors
 from calib.results.calibration import Calibration, GazeResult
+from calib.results.published import contradictions
 from calib.rows.from_table import ValidationRows, observe_validation, row_priors
 from calib.rows.observations import Observations
 from calib.rows.repeated_readings import repetition_warning
@@ -133,6 +134,9 @@ def calibrate(
                 *all_warnings(result, gaze),
                 *(() if gaze is None else prior_warnings(gaze, row_priors(dataset))),
                 *pose_warnings(dataset, result.stereo, gaze),
+                *contradictions(
+                    result, {n: (p.mean, p.std) for n, p in dataset.manifest.published.items()}
+                ),
             ),
             rows=None if dataset.gaze is None else sketch(dataset.gaze, result.corners),
             disagreements=() if gaze is None else disagreements(gaze),

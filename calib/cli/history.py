@@ -305,6 +305,7 @@ def _run_check(arguments: argparse.Namespace) -> int:
 
 def _add_session(arguments: argparse.Namespace, measuring: Measuring, standard: Standard) -> None:
     """Gaze at the standard and add what was read to the table, whole or not at all."""
+    from calib.core.errors import InputError
     from calib.gaze.measured import aiming, lenses
     from calib.gaze.placing import placing_for
     from calib.history.gazed import gaze_standard, has_sessions, targets_of, with_session
@@ -316,7 +317,11 @@ def _add_session(arguments: argparse.Namespace, measuring: Measuring, standard: 
         str(arguments.readings),
         "plate:" in "".join(map(standard.gazed_as, standard.targets)),
     )
-    before = _table_so_far(arguments.readings)
+    before, table = _table_so_far(arguments.readings), arguments.readings.resolve()
+    if not table.parent.is_dir():
+        raise InputError.single(
+            where=str(table.parent), what="is not a folder", remedy="make it, or name another"
+        )
     if has_sessions(before, name=name):
         # What cannot be read afterwards is told before the rig moves.
         check_standard(measuring, standard, before, name=name)
@@ -330,7 +335,8 @@ def _add_session(arguments: argparse.Namespace, measuring: Measuring, standard: 
         rows = gaze_standard(gazer, aiming(measuring, known.c1), targets)
     now = datetime.now().isoformat(timespec="seconds")
     after = with_session(_table_so_far(arguments.readings), rows, date=now, name=name)
-    write_bytes(arguments.readings.resolve(), after.encode())
+    check_standard(measuring, standard, after, name=name)
+    write_bytes(table, after.encode())
     print(f"{harmless(name)}: session of {now} added", file=sys.stderr)
 
 

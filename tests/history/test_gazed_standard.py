@@ -191,6 +191,12 @@ def test_command_adds_a_session(lab: Path, capsys: pytest.CaptureFixture[str]) -
     assert "Check standard board-1: 1 sessions" in said.out
     before = (lab / "mornings.csv").read_text()
     assert before.count("\n") == 3
+    (lab / "other.csv").write_text("date,id,colour\n")
+    assert main([*command[:4], "other.csv", *command[5:]]) == 2
+    assert "unknown column 'colour'" in capsys.readouterr().err
+    assert (lab / "other.csv").read_text() == "date,id,colour\n"
+    assert main([*command[:4], "nowhere/t.csv", *command[5:]]) == 2
+    assert "nowhere: is not a folder" in capsys.readouterr().err
     # What cannot be used is told before the rig moves, and stays as it is.
     (lab / "mornings.csv").write_text(before.replace("left", "Left"))
     assert main(command) == 2

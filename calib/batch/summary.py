@@ -10,10 +10,11 @@ from pathlib import Path
 from urllib.parse import quote
 
 from calib.batch.task import Ending, Outcome
-from calib.core.errors import CalibError
+from calib.core.errors import CalibError, harmless
 from calib.history.drift import EFFECTIVE
 from calib.history.read import read_run
 from calib.report.plain_page import Block, Cell, Link, Paragraph, PlainTable, State, plain_page
+from calib.stages.manifest import faults
 
 GENERATOR = "calib batch"
 
@@ -55,6 +56,9 @@ def line_of(outcome: Outcome, out: Path) -> Line:
         # What lies there may be of an earlier run.
         return Line(outcome.task.dataset, relative, outcome.ending, {}, outcome.said, ())
     documents = tuple(name for name in DOCUMENTS if (folder / name).exists())
+    if found := faults(folder):
+        # The run was whole when it ended: something else has written there.
+        return Line(outcome.task.dataset, relative, "refused", {}, (str(found[0]),), ())
     try:
         run = read_run(folder)
     except CalibError as error:
@@ -90,7 +94,8 @@ def csv_text(lines: Sequence[Line]) -> str:
         figures = [line.figures.get(name, "") for name in COLUMNS]
         row = [line.dataset, line.ending, *figures, line.folder, "; ".join(line.remarks)]
         # A name that a spreadsheet would compute is kept as text.
-        writer.writerow([f"'{cell}" if cell[:1] in tuple("=+-@\t") else cell for cell in row])
+        cells = map(harmless, row)
+        writer.writerow([f"'{cell}" if cell[:1] in tuple("=+-@") else cell for cell in cells])
     return text.getvalue()
 
 

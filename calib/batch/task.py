@@ -2,7 +2,8 @@
 
 A process of its own, so that nothing a dataset does to it (a crash of a native library, a system
 short of memory) reaches another. `calib calibrate` reuses what is finished, so a batch that was
-stopped goes on where it was.
+stopped goes on where it was. Where the process of a batch that was killed is still at work (a
+cluster's workers do not know that nobody waits for them any more) its end is waited for.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -17,7 +19,9 @@ from pathlib import Path
 from threading import Lock
 from typing import Literal
 
+from calib.core.parent import ending_with_this
 from calib.stages.parallel import PROCESSORS
+from calib.stages.store import IN_USE, is_in_use
 
 Ending = Literal["passed", "gates failed", "refused", "crashed"]
 
@@ -25,6 +29,9 @@ _ENDINGS: dict[int, Ending] = {0: "passed", 3: "gates failed", 2: "refused"}
 
 SAID = 10
 """Lines of what a refused run said that are kept."""
+
+ASKED_AGAIN_S = 0.5
+"""Between two looks whether another run has left a folder."""
 
 _STAGE = "  "
 """Begins the lines that name stages at work."""
@@ -86,6 +93,11 @@ class Children:
             with self._lock:
                 self._at_work.discard(process)
 
+    @property
+    def ended(self) -> bool:
+        """Whether they were asked to end: nothing new is to begin."""
+        return self._ended
+
     def end(self) -> None:
         """Ask all of them to end."""
         with self._lock:
@@ -96,6 +108,16 @@ class Children:
 
 def calibrate_one(task: Task, children: Children | None = None) -> Outcome:
     """Calibrate one dataset on one processor; never raises for what the dataset holds."""
+    counted = children or Children()
+    while True:
+        outcome = _calibrate(task, counted)
+        if counted.ended or not any(IN_USE in line for line in outcome.said):
+            return outcome
+        while is_in_use(Path(task.out)) and not counted.ended:
+            time.sleep(ASKED_AGAIN_S)
+
+
+def _calibrate(task: Task, children: Children) -> Outcome:
     here = str(Path(__file__).parents[2])
     search = os.pathsep.join(filter(None, (here, os.environ.get("PYTHONPATH"))))
     # `--`: names may begin with a dash. -P: not the working directory, where anything may lie.
@@ -104,14 +126,13 @@ def calibrate_one(task: Task, children: Children | None = None) -> Outcome:
     with (
         subprocess.Popen(  # noqa: S603 - no shell; this very interpreter
             command,
-            env={**os.environ, PROCESSORS: "1", "PYTHONPATH": search},
+            env={**os.environ, **ending_with_this(), PROCESSORS: "1", "PYTHONPATH": search},
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,
         ) as process,
-        (children or Children()).counted(process),
+        children.counted(process),
     ):
-        # A pipe: where this process dies, that one ends at its next word.
         _, err = process.communicate()
     ending = _ENDINGS.get(process.returncode, "crashed")
     lines = err.decode(errors="replace").splitlines()

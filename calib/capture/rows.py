@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from itertools import count as from_number
 from typing import Any, Final
 
 import numpy as np
@@ -87,7 +88,7 @@ def capture_rows(capture: Capture, *, count: int) -> Captured:
     _note_start(capture)
     have, refused, in_a_row = len(capture.folder.rows(capture.table)), 0, 0
     while have < count and in_a_row < REFUSALS_MAX:
-        name = f"{LETTERS[capture.kind]}{have + 1:02d}"
+        name = next_name(capture)
         try:
             _take(capture, aiming, name)
         except RigError as error:
@@ -97,6 +98,29 @@ def capture_rows(capture: Capture, *, count: int) -> Captured:
             continue
         have, in_a_row = have + 1, 0
     return Captured(have, refused)
+
+
+def next_name(capture: Capture) -> str:
+    """Return an id that no row has or had, and whose pictures are nobody's.
+
+    A picture without a row is what a capture that was killed left of the row in work, if the
+    journal says so: its name is free.
+    """
+    folder, table = capture.folder, capture.table
+    taken = {row.get("id", "") for row in folder.rows(table)}
+    taken |= {event.get("id", "") for event in folder.events("row") if event.get("table") == table}
+    begun = {event.get("id") for event in folder.events("begun") if event.get("table") == table}
+    for number in from_number(1):
+        name = f"{LETTERS[capture.kind]}{number:02d}"
+        there = any((folder.root / p).exists() for p in _pictures(capture.kind, name).values())
+        if name not in taken and (name in begun or not there):
+            return name
+    raise AssertionError  # never: numbers do not end
+
+
+def _pictures(kind: Kind, name: str) -> dict[str, str]:
+    """Return the names of a row's pictures."""
+    return {role: f"{kind}/{role}/{name}.png" for role in ("c1", "c2")}
 
 
 def targets_before(folder: GrowingFolder) -> int:
@@ -125,11 +149,9 @@ def _take(capture: Capture, aiming: Callable[[float], Aiming], name: str) -> Non
     row = _gazer_for(capture.gazer, aiming(z)).gaze(aiming(z), depth_mm=z)
     capture.gazer.noise_c1 = capture.gazer.noise_c1.after(row.c1)
     capture.gazer.noise_c2 = capture.gazer.noise_c2.after(row.c2)
-    pictures = {
-        "c1": f"{capture.kind}/c1/{name}.png",
-        "c2": f"{capture.kind}/c2/{name}.png",
-    }
+    pictures = _pictures(capture.kind, name)
     kept = {"c1": row.c1[-1], "c2": row.c2[0]}
+    capture.folder.note("begun", table=capture.table, id=name)
     for role, picture in pictures.items():
         capture.folder.picture(picture, kept[role].frame.pixels)
     cells = _cells(capture, name, row, pictures) | {"z_mm": f"{z:.10g}", "u_z_mm": f"{u:.10g}"}

@@ -23,12 +23,11 @@ from numpy.typing import NDArray
 
 from calib.core.errors import InputError, UsageError
 from calib.dataset.folder import decode
-from calib.stages.store import make_folder, write_bytes
+from calib.stages.store import clear_partial, make_folder, opened_lock, write_bytes
 
 MANIFEST: Final = "dataset.toml"
 JOURNAL: Final = "session.jsonl"
 _LOCK: Final = ".capture.lock"
-_PARTIAL: Final = ".part"
 
 
 class GrowingFolder:
@@ -89,11 +88,11 @@ class GrowingFolder:
             If the table has other columns.
         """
         rows = self.rows(name)
-        if rows and list(rows[0]) != list(columns):
+        head = next(csv.reader(io.StringIO(self.text(name) or "")), None)
+        if head is not None and head != list(columns):
             raise InputError.single(
                 where=name,
-                what=f"has the columns {', '.join(rows[0])}; the capture writes "
-                f"{', '.join(columns)}",
+                what=f"has the columns {', '.join(head)}; the capture writes {', '.join(columns)}",
                 remedy="capture into a new folder, with the target and reference as before",
             )
         text = io.StringIO()
@@ -127,6 +126,8 @@ class GrowingFolder:
 
     def _write(self, name: str, content: bytes) -> None:
         path = self.root / name
+        if path.is_symlink():
+            raise UsageError(f"{path}: is a link; the capture writes into its own folder only")
         make_folder(path.parent)
         write_bytes(path, content)
         # The new name reaches the disk with its folder.
@@ -138,8 +139,8 @@ class GrowingFolder:
 
     def clear_away(self) -> None:
         """Delete what a capture that was killed left half-written, and end its journal's line."""
-        for left in self.root.rglob(f".*{_PARTIAL}"):
-            left.unlink(missing_ok=True)
+        for folder in (self.root, *(p for p in self.root.rglob("*") if p.is_dir())):
+            clear_partial(folder)
         journal = self.root / JOURNAL
         if journal.exists() and not journal.read_bytes().endswith((b"\n", b"")[:1]):
             whole, _, _ = journal.read_bytes().rpartition(b"\n")
@@ -156,11 +157,7 @@ def growing(root: Path) -> Iterator[GrowingFolder]:
         If it cannot be made, or another capture writes to it.
     """
     make_folder(root)
-    try:
-        lock = (root / _LOCK).open("w")
-    except OSError as error:
-        raise UsageError(f"{root}: cannot be written ({error.strerror})") from error
-    with lock:
+    with opened_lock(root / _LOCK) as lock:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:

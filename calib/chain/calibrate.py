@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from calib.chain.adjustment import adjustment_stage
 from calib.chain.images import ImageStages, image_observations, image_stages
 from calib.chain.outputs import write_outputs
 from calib.chain.rows import gaze_rows, gaze_setup, validation_setup
@@ -18,9 +19,11 @@ from calib.checks.stereo_pose import pose_warnings
 from calib.checks.verdict import all_gates, all_warnings, disagreements
 from calib.core.errors import InputError
 from calib.dataset.contents import Dataset
+from calib.dataset.given_lens import given_lens_covariance
 from calib.dataset.tables import LengthTable
 from calib.diagnosis.correction import correct_rows
 from calib.diagnosis.engine import Attempt, diagnose
+from calib.diagnosis.independent import diagnose_references
 from calib.diagnosis.session import row_history
 from calib.fit.compare import compare_models
 from calib.fit.convex import fit_convex
@@ -38,6 +41,7 @@ from calib.instrument.evidence import gather_evidence
 from calib.mirror.gaze import mirror_gaze
 from calib.mirror.problem import Mirror, mirror_priors
 from calib.results.calibration import Calibration, GazeResult
+from calib.results.published import contradictions
 from calib.rows.from_table import ValidationRows, observe_validation, row_priors
 from calib.rows.observations import Observations
 from calib.rows.repeated_readings import repetition_warning
@@ -92,8 +96,9 @@ def calibrate(
     fingerprint = run_fingerprint(dataset.sha256, vars(options))
     store = Store(out, announce, progress)
     with store.locked():
-        claim(out, root=dataset.root, sha256=dataset.sha256)
+        claim(out, dataset.owner)
         images = image_stages(dataset, store, options.seed)
+        adjustment = adjustment_stage(dataset, store, images)
         failures = images.failures()
         gaze = None
         if dataset.gaze is not None:
@@ -117,8 +122,11 @@ def calibrate(
             rig=dataset.manifest.rig,
             seed=options.seed,
             cameras=dataset.cameras,
+            camera_covariances={n: given_lens_covariance(dataset, n) for n in dataset.cameras},
             images=result,
             gaze=gaze,
+            adjustment=None if adjustment is None else adjustment.get(),
+            not_adjusted=None if adjustment is None else adjustment.failed,
             gates=all_gates(result, gaze, failures),
             warnings=(
                 *dataset.warnings,
@@ -126,6 +134,9 @@ def calibrate(
                 *all_warnings(result, gaze),
                 *(() if gaze is None else prior_warnings(gaze, row_priors(dataset))),
                 *pose_warnings(dataset, result.stereo, gaze),
+                *contradictions(
+                    result, {n: (p.mean, p.std) for n, p in dataset.manifest.published.items()}
+                ),
             ),
             rows=None if dataset.gaze is None else sketch(dataset.gaze, result.corners),
             disagreements=() if gaze is None else disagreements(gaze),
@@ -257,6 +268,9 @@ def _measure(
     if validation is not None:
         measured = run(stage("validation", measure_validation,
                              calibrated, validation, fits, seed=seed))
+    diagnosis = run(stage("independent references", diagnose_references,
+                          diagnosis, calibrated, fitted.robust[selected], rows,
+                          optional(validation), optional(_lengths(dataset)), depths))
     evidence = run(stage("certified depths", gather_evidence,
                          calibrated, rows, optional(validation), optional(measured),
                          optional(_lengths(dataset)), seed=seed, **_certified(dataset)))

@@ -7,12 +7,15 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from calib.core.arrays import FloatArray
 from calib.dataset.contents import Dataset
+from calib.dataset.given_lens import given_lens_covariance
 from calib.dataset.tables import GazeTable
 from calib.fit.priors import Measured
 from calib.geometry.board import Corners
+from calib.geometry.camera import intrinsic_names
 from calib.images import stages as images_stages
 from calib.images.contact_sheet import ContactSheet, Pictures, contact_sheet
 from calib.images.intrinsics.calibrate import Intrinsics
@@ -106,15 +109,17 @@ def image_stages(dataset: Dataset, store: Store, seed: int) -> ImageStages:
             if board is not None
         }
     )  # fmt: skip
-    rig = _rig(dataset, intrinsics)
+    rig = camera_pair(dataset, intrinsics)
     stereo = _stereo(dataset, store, corners, board, rig, intrinsics, seed)
     intrinsics = _refined(store, corners, intrinsics, stereo)
-    rig = _rig(dataset, intrinsics)
+    rig = camera_pair(dataset, intrinsics)
     sweep = _sweep(dataset, store, corners, board, intrinsics, stereo)
     shared = given("shared errors", Shared())
     if rig is not None:
         good = stereo if stereo is not None and stereo.failed is None else None
         shared = store.run(stage("shared errors", shared_errors, rig, optional(good)))
+    elif dataset.cameras:
+        shared = given("shared errors", _of_given_lenses(dataset))
     return ImageStages(
         corners=corners,
         sheets=sheets,
@@ -188,8 +193,15 @@ def _known_camera(
     camera = dataset.cameras.get(name)
     if camera is None:
         return None
-    count = 4 + len(camera.distortion)
-    return given(f"camera {name}", KnownCamera(camera, np.zeros((count, count))))
+    covariance = given_lens_covariance(dataset, name)
+    return given(f"camera {name}", KnownCamera(camera, covariance))
+
+
+def _of_given_lenses(dataset: Dataset) -> Shared:
+    """Return what all rows have wrong by given lenses, where tables name their pixels."""
+    names = [f"{n}.{part}" for n, c in dataset.cameras.items() for part in intrinsic_names(c)]
+    blocks = [given_lens_covariance(dataset, name) for name in dataset.cameras]
+    return Shared.of(tuple(names), block_diag(*blocks))
 
 
 def _camera_set(dataset: Dataset, intrinsics: Mapping[str, Staged[Intrinsics]]) -> CameraSet:
@@ -198,7 +210,7 @@ def _camera_set(dataset: Dataset, intrinsics: Mapping[str, Staged[Intrinsics]]) 
     return CameraSet(c1, c2)
 
 
-def _rig(
+def camera_pair(
     dataset: Dataset, intrinsics: Mapping[str, Staged[Intrinsics]]
 ) -> Staged[CameraPair] | None:
     """Return both cameras, if both are known and pictures are taken with them."""
@@ -234,7 +246,7 @@ def _refined(
     }  # fmt: skip
 
 
-def _besides(dataset: Dataset, intrinsics: Mapping[str, Staged[Intrinsics]]) -> Besides:
+def besides_pairs(dataset: Dataset, intrinsics: Mapping[str, Staged[Intrinsics]]) -> Besides:
     """Return the images for lenses and rows, each once; validation is not used to fit."""
     lens, rows = [], []
     for which, name in enumerate(CAMERAS):
@@ -269,7 +281,7 @@ def _stereo(
     return store.run(stage(
         "stereo", images_stages.stereo,
         corners["c1"], corners["c2"], given("pairs", pairs),
-        given("images besides", _besides(dataset, intrinsics)), board, rig, seed=seed,
+        given("images besides", besides_pairs(dataset, intrinsics)), board, rig, seed=seed,
     ))  # fmt: skip
 
 

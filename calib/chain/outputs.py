@@ -24,11 +24,9 @@ from calib.report.context import report_context
 from calib.report.page import render_report
 from calib.results.calibration import Calibration, to_json
 from calib.results.hdf5_file import archive
-from calib.stages.manifest import begin_outputs, end_outputs
+from calib.stages.manifest import SOMETIMES, begin_outputs, end_outputs
 from calib.stages.provenance import Provenance, provenance
 from calib.stages.store import Store, write_bytes
-
-CERTIFICATES = ("certificate.html", "certificate.pdf", "certificate.xml")
 
 
 def write_outputs(
@@ -72,8 +70,8 @@ def write_set(out: Path, files: Mapping[str, bytes], *, fingerprint: str) -> Non
     begin_outputs(out, files)
     for name, content in files.items():
         write_bytes(out / name, content)
-    # A certificate of an earlier run must not lie beside results it does not certify.
-    for name in set(CERTIFICATES) - set(files):
+    # What an earlier run wrote must not lie beside results that it is not of.
+    for name in set(SOMETIMES) - set(files):
         (out / name).unlink(missing_ok=True)
     end_outputs(out, fingerprint, files)
 

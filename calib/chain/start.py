@@ -14,8 +14,10 @@ from typing import Any
 
 from calib.core.errors import CalibError
 from calib.core.gate import Gate
+from calib.core.parent import ending_with_this
 from calib.dataset.load import load_dataset
 from calib.instrument.rig import RESULT, Rig, load
+from calib.stages.manifest import refuse_broken
 
 DONE, GATE_FAILED = 0, 3
 
@@ -35,7 +37,10 @@ class Calibrated:
     @cached_property
     def document(self) -> Mapping[str, Any]:
         """What calibration.json says, as Python objects."""
-        found: Mapping[str, Any] = json.loads((self.folder / RESULT).read_text(encoding="utf-8"))
+        file = self.folder / RESULT
+        content = file.read_bytes()
+        refuse_broken(file, content)
+        found: Mapping[str, Any] = json.loads(content)
         return found
 
     @property
@@ -109,6 +114,7 @@ def calibrate(
     options += ["--force"] * force
     ended = subprocess.run(  # noqa: S603 - this interpreter, and arguments that no shell sees
         [sys.executable, "-P", "-m", "calib", "calibrate", *options, "--", os.fspath(dataset)],
+        env={**os.environ, **ending_with_this()},
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
         stdin=subprocess.DEVNULL,

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
+from calib.cli.arguments import add_input
+from calib.cli.streams import say
 from calib.core.gate import Gate
 
 DONE, GATE_FAILED = 0, 3
@@ -15,8 +17,18 @@ NAMED_FAULTS = 10
 """Of a kind that are named."""
 
 
-def add_acceptance(parser: argparse.ArgumentParser) -> None:
-    """Add the options by which a user takes a calibration that should not be used."""
+def add_calibration(
+    parser: argparse.ArgumentParser,
+    name: str = "calibration",
+    *,
+    metavar: str = "CALIBRATION.json",
+    **settings: Any,
+) -> None:
+    """Add a calibration that is read, and the options to use one that should not be used.
+
+    The settings are those of ``add_argument``. The command says if it was edited or failed.
+    """
+    add_input(parser, name, metavar=metavar, is_calibration=True, **settings)
     parser.add_argument(
         "--accept-failed", action="store_true", help="use a calibration whose gates failed"
     )
@@ -30,9 +42,6 @@ def warn_of_failed(name: Path, failed: Sequence[Gate], *, accepted: bool) -> boo
     if not failed or accepted:
         return False
     for gate in failed[:NAMED_FAULTS]:
-        print(f"calib: {name}: gate {gate.name} FAILED: {gate.detail}", file=sys.stderr)
-    print(
-        f"calib: {name}: must not be used; mend what its report names, or --accept-failed",
-        file=sys.stderr,
-    )
+        say(f"calib: {name}: gate {gate.name} FAILED: {gate.detail}")
+    say(f"calib: {name}: must not be used; mend what its report names, or --accept-failed")
     return True

@@ -23,11 +23,18 @@ STREAM = "-"
 
 @dataclass(frozen=True)
 class PathRole:
-    """What a command does with a path: reads it (`writes` is None), or writes it."""
+    """What a command does with a path: reads it (`writes` is None), or writes it.
+
+    Parameters
+    ----------
+    is_calibration
+        Whether it reads calibrations there, which may be edited, mixed or failed.
+    """
 
     option: str
     dest: str
     writes: OutputKind | None = None
+    is_calibration: bool = False
 
 
 def roles(parser: argparse.ArgumentParser) -> list[PathRole]:
@@ -46,18 +53,23 @@ def add_input(
     parser: argparse.ArgumentParser,
     *names: str,
     group: argparse._MutuallyExclusiveGroup | None = None,
+    is_calibration: bool = False,
     **settings: Any,
 ) -> None:
     """Add a path that the command reads; the settings are those of ``add_argument``."""
-    _add(parser, None, names, {"type": path} | settings, group)
+    settings = {"type": path} | settings
+    _add(parser, None, names, settings, group, is_calibration=is_calibration)
 
 
 def add_output(
     parser: argparse.ArgumentParser, *names: str, kind: OutputKind, **settings: Any
 ) -> None:
-    """Add a path that the command writes, and the option that lets it replace a foreign file."""
+    """Add a path that the command writes, and the option that lets it replace a foreign file.
+
+    What is made anew has no such option.
+    """
     _add(parser, kind, names, {"type": path} | settings)
-    if "--force" not in parser._option_string_actions:
+    if not kind.is_new and "--force" not in parser._option_string_actions:
         parser.add_argument(
             "--force", action="store_true", help="replace files that another tool wrote"
         )
@@ -69,11 +81,14 @@ def _add(
     names: Sequence[str],
     settings: dict[str, Any],
     group: argparse._MutuallyExclusiveGroup | None = None,
+    *,
+    is_calibration: bool = False,
 ) -> None:
     action = (group or parser).add_argument(*names, **settings)
     action.complete = COMPLETE_FILES  # type: ignore[attr-defined] # by it shtab knows a path
     option = names[0] if names[0].startswith("-") else str(settings.get("metavar", names[0]))
-    parser.set_defaults(path_roles=[*roles(parser), PathRole(option, action.dest, kind)])
+    role = PathRole(option, action.dest, kind, is_calibration)
+    parser.set_defaults(path_roles=[*roles(parser), role])
 
 
 def inputs_of(parsed: argparse.Namespace) -> list[Path]:
@@ -99,7 +114,8 @@ def guard_outputs(parsed: argparse.Namespace) -> None:
         if role.writes is not None and value is not None:
             real = guarded(
                 value, role.writes,
-                option=role.option, inputs=inputs_of(parsed), force=parsed.force,
+                option=role.option, inputs=inputs_of(parsed),
+                force=getattr(parsed, "force", False),
             )  # fmt: skip
             setattr(parsed, role.dest, real)
 
@@ -151,13 +167,13 @@ def whole(text: str, *, least: int, most: int = MOST) -> int:
     return int(text)
 
 
-def number(text: str, *, below: float, wanted: str) -> float:
-    """Return a number between 0 and `below`."""
+def number(text: str, *, below: float, wanted: str, above: float = 0.0) -> float:
+    """Return a number between `above` and `below`."""
     try:
         value = float(text)
     except ValueError:
         value = 0.0
-    if not 0 < value < below:
+    if not above < value < below:
         raise argparse.ArgumentTypeError(f"{text!r}: give {wanted}")
     return value
 
@@ -166,6 +182,11 @@ LARGEST_DEPTH_MM = 1e7
 """Ten kilometres: no gaze angle measures them, and squares of larger numbers soon overflow."""
 
 
+LEAST_DEPTH_MM = 1e-3
+"""A micrometre before the camera there is no target; squares of far smaller numbers are 0."""
+
+
 def depth(text: str) -> float:
     """Return a depth in mm."""
-    return number(text, below=LARGEST_DEPTH_MM, wanted="a depth in mm, above 0 and below 10 km")
+    wanted = "a depth in mm, above 1 um and below 10 km"
+    return number(text, above=LEAST_DEPTH_MM, below=LARGEST_DEPTH_MM, wanted=wanted)

@@ -11,13 +11,16 @@ from typing import TYPE_CHECKING
 from calib.cli.arguments import add_input, add_output, jobs, natural
 from calib.core.errors import harmless
 from calib.stages.interruption import interrupt_on
-from calib.stages.output_guard import OutputKind
+from calib.stages.output_guard import OutputKind, files_of
 
 if TYPE_CHECKING:
     from calib.batch.task import Outcome
 
 PAGE, TABLE = "batch.html", "batch.csv"
-BATCH = OutputKind(is_folder=True, marks=(PAGE,))
+BATCH = OutputKind(
+    is_folder=True,
+    files=((PAGE, (b'content="calib batch"',)), (TABLE, (b"dataset,result,model,",))),
+)
 
 STATUS = {"crashed": 1, "refused": 2, "gates failed": 3, "passed": 0}
 """Exit status by ending, the worst first."""
@@ -49,14 +52,17 @@ def run(arguments: argparse.Namespace) -> int:
     from calib.batch.summary import counts, csv_text, line_of, page
     from calib.cli.console import Console
     from calib.stages.parallel import processors
-    from calib.stages.store import write_bytes
+    from calib.stages.store import make_folder, write_bytes
 
     interrupt_on(signal.SIGINT, signal.SIGTERM)
     tasks = tasks_of(arguments.datasets, arguments.out, seed=arguments.seed, force=arguments.force)
     # Begun at once: the folder of an unfinished batch is known as one.
-    arguments.out.mkdir(parents=True, exist_ok=True)
-    if not (arguments.out / PAGE).exists():
-        write_bytes(arguments.out / PAGE, page([]).encode())
+    make_folder(arguments.out)
+    places = files_of(
+        arguments.out, (TABLE, PAGE), BATCH, option="--out", force=arguments.force
+    )  # fmt: skip
+    if not places[PAGE].exists():
+        write_bytes(places[PAGE], page([]).encode())
     console, done = Console(), 0
 
     def finished(outcome: Outcome) -> None:
@@ -79,8 +85,8 @@ def run(arguments: argparse.Namespace) -> int:
     finally:
         console.close()
     lines = [line_of(outcome, arguments.out) for outcome in outcomes]
-    write_bytes(arguments.out / TABLE, csv_text(lines).encode())
-    write_bytes(arguments.out / PAGE, page(lines).encode())
+    write_bytes(places[TABLE], csv_text(lines).encode())
+    write_bytes(places[PAGE], page(lines).encode())
     print(counts(lines))
     print(f"summary: {harmless(str(arguments.out / PAGE))}")
     return next(

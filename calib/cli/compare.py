@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 import sys
 
-from calib.cli.acceptance import DONE, GATE_FAILED, add_acceptance, warn_of_failed
-from calib.cli.arguments import add_input, add_output
+from calib.cli.acceptance import DONE, GATE_FAILED, add_calibration, warn_of_failed
+from calib.cli.arguments import add_output
 from calib.cli.voice import add_voice, print_json
 from calib.stages.output_guard import OutputKind
 
@@ -16,12 +16,11 @@ PAGE = OutputKind(is_folder=False, marks=(b'content="calib compare"',))
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    add_input(
+    add_calibration(
         parser, "runs", nargs="+", metavar="RUN",
         help="folders of finished runs, or their calibration.json; the first is the reference",
     )  # fmt: skip
     add_output(parser, "--out", kind=PAGE, metavar="HTML", help="page to write; default: none")
-    add_acceptance(parser)
     add_voice(parser, json_help="print runs and changes as JSON")
 
 

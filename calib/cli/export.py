@@ -5,40 +5,46 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from calib.cli.acceptance import DONE, GATE_FAILED, add_acceptance, warn_of_failed
-from calib.cli.arguments import add_input, add_output
-from calib.stages.output_guard import OutputKind
+from calib.cli.acceptance import DONE, GATE_FAILED, add_calibration, warn_of_failed
+from calib.cli.arguments import add_output
+from calib.core.errors import harmless
+from calib.stages.output_guard import OutputKind, files_of
+
+MARK = "# calib export"
 
 FORMATS = ("opencv", "mrcal", "ros", "kalibr")
 
-MARKS = ("camchain.yaml", "c1.yaml", "c1.cameramodel", "c2.yaml", "c2.cameramodel")
-EXPORTED = OutputKind(is_folder=True, marks=MARKS)
-"""Known by the names of its files."""
+ENDINGS = (".yaml", ".cameramodel")
+EXPORTED = OutputKind(
+    is_folder=True, files=tuple((f"*{ending}", (MARK.encode(),)) for ending in ENDINGS)
+)
+"""Known by a comment in its files, whose names are those that users give their own cameras."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    add_input(parser, "calibration", metavar="CALIBRATION.json")
+    add_calibration(parser)
     parser.add_argument("--format", choices=FORMATS, required=True, help="of which tool")
     add_output(
         parser, "--out", kind=EXPORTED, metavar="DIR", required=True, help="folder for the files"
     )
-    add_acceptance(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Write the files, name them, return the exit status."""
     from calib.instrument.calibration_file import read_cameras
     from calib.results.export import FORMATS as WRITERS
+    from calib.results.export import marked
     from calib.stages.store import make_folder, write_bytes
 
     found = read_cameras(arguments.calibration, allow_edited=arguments.allow_edited)
-    files = WRITERS[arguments.format](found)
+    files = {n: marked(text, MARK) for n, text in WRITERS[arguments.format](found).items()}
     folder: Path = arguments.out
     make_folder(folder)
-    for name, text in files.items():
-        write_bytes(folder / name, text.encode())
-        print(folder / name)
+    places = files_of(folder, files, EXPORTED, option="--out", force=arguments.force)
+    for name, path in places.items():
+        write_bytes(path, files[name].encode())
+        print(harmless(str(path)))
     minded = warn_of_failed(
         arguments.calibration, found.failed_gates, accepted=arguments.accept_failed
     )

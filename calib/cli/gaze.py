@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from calib.cli.acceptance import add_acceptance, warn_of_failed
-from calib.cli.arguments import add_input, add_output, positive
+from calib.cli.acceptance import add_calibration, warn_of_failed
+from calib.cli.arguments import add_output, positive
 from calib.cli.measure import POSITIONS, writer
 from calib.cli.rig_options import add_rig, last_check, opened
+from calib.cli.streams import say
 
 if TYPE_CHECKING:
     from calib.gaze.aim import EpipolarAiming
@@ -26,7 +26,7 @@ DONE, NOT_ALL = 0, 3
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    add_input(parser, "calibration", metavar="CALIBRATION.json")
+    add_calibration(parser)
     add_rig(parser)
     parser.add_argument(
         "--count", type=positive, default=1, metavar="N", help="targets, or rows with --follow"
@@ -40,7 +40,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--model", default="selected", metavar="NAME",
         help="selected (default), a fitted model, or average over all of them",
     )  # fmt: skip
-    add_acceptance(parser)
 
 
 def add_target(parser: argparse.ArgumentParser) -> None:
@@ -203,4 +202,4 @@ class _Table:
 
 
 def _tell(line: str) -> None:
-    print(line, file=sys.stderr, flush=True)
+    say(line)

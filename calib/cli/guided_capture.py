@@ -20,7 +20,10 @@ if TYPE_CHECKING:
 DONE, NOT_ENOUGH = 0, 3
 
 DATASET = OutputKind(
-    is_folder=True, marks=("dataset.toml", "session.jsonl", ".capture.lock"), is_dataset=True
+    is_folder=True,
+    files=(("dataset.toml", ()), ("session.jsonl", (b'{"event": ',))),
+    hidden=(".capture.lock",),
+    is_dataset=True,
 )
 
 KINDS = {

@@ -5,13 +5,24 @@ from __future__ import annotations
 import argparse
 import math
 import sys
-from datetime import date
+from datetime import date, datetime
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from calib.cli.acceptance import DONE, GATE_FAILED, add_acceptance, warn_of_failed
+from calib.cli.acceptance import DONE, GATE_FAILED, add_calibration, warn_of_failed
 from calib.cli.arguments import add_input, add_output, positive
+from calib.cli.gaze import make_gazer
+from calib.cli.length import PLATE
+from calib.cli.rig_options import add_rig, opened
 from calib.core.errors import harmless
-from calib.stages.output_guard import OutputKind
+from calib.stages.output_guard import OutputKind, files_of
+
+if TYPE_CHECKING:
+    from calib.history.certified import Standard
+    from calib.instrument.calibration_file import Measuring
+
+NOT_ALL = 3
+"""Some calibrations were edited, damaged or of no whole run."""
 
 DEFAULT = Path("history.sqlite")
 HELP = f"default: {DEFAULT}"
@@ -30,7 +41,7 @@ SESSIONS = 5
 """At acceptance. A session costs minutes, and the more there are the less their error hides."""
 
 FLEET = "index.html"
-PAGES = OutputKind(is_folder=True, marks=(FLEET,))
+PAGES = OutputKind(is_folder=True, files=(("*.html", (b'content="calib history page"',)),))
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -38,7 +49,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     commands = parser.add_subparsers(dest="history_command", required=True, metavar="COMMAND")
 
     add = commands.add_parser("index", help="index the calibrations in folders, by rig")
-    add_input(add, "folders", nargs="+", metavar="DIR", help="folders with finished runs")
+    add_input(
+        add, "folders", nargs="+", metavar="DIR", is_calibration=True,
+        help="folders with finished runs",
+    )  # fmt: skip
     add_output(add, "--index", kind=INDEX, default=DEFAULT, metavar="FILE", help=HELP)
     add.set_defaults(run=_run_index)
 
@@ -70,9 +84,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add.set_defaults(run=_run_page)
 
     add = commands.add_parser("check", help="a check standard measured between calibrations")
-    add_input(add, "calibration", metavar="CALIBRATION.json")
+    add_calibration(add)
     add_input(add, "standard", metavar="STANDARD.toml", help="certified lengths and depths")
-    add_input(add, "readings", metavar="READINGS.csv", help="date, and the columns of measure")
+    add_input(
+        add, "readings", metavar="READINGS.csv",
+        help="date, and the columns of measure; with --gaze it may be new",
+    )  # fmt: skip
+    add.add_argument(
+        "--gaze", action="store_true",
+        help="gaze at the standard now and add the session to READINGS.csv",
+    )  # fmt: skip
+    add_rig(add, help="of --gaze, and asks for it")
     add_output(add, "--out", kind=RECORD, metavar="HTML", help="page to write; default: none")
     add.add_argument(
         "--accepted",
@@ -80,7 +102,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="sessions that make the reference; default: 5",
     )
-    add_acceptance(add)
     add.set_defaults(run=_run_check)
 
     add = commands.add_parser("due", help="when a rig is due for its next calibration")
@@ -146,6 +167,7 @@ def _run_index(arguments: argparse.Namespace) -> int:
         "changed": found.changed,
         "deleted": found.deleted,
         "moved": tuple(f"{old} to {new}" for old, new in found.moved),
+        "left out": tuple(f"{path}: {why}" for path, why in found.failed),
         "cannot be read": tuple(f"{path}: {why}" for path, why in found.unreadable),
     }
     for kind, paths in kinds.items():
@@ -154,7 +176,10 @@ def _run_index(arguments: argparse.Namespace) -> int:
         if len(paths) > SHOWN:
             print(f"  {kind}: and {len(paths) - SHOWN} more")
     print(f"{harmless(str(arguments.index))}: {found.calibrations} calibrations found")
-    return 0
+    if found.unreadable:
+        number = len(found.unreadable)
+        print(f"calib: {number} calibration(s) are not indexed, see above", file=sys.stderr)
+    return NOT_ALL if found.unreadable else DONE
 
 
 def _run_show(arguments: argparse.Namespace) -> int:
@@ -181,11 +206,10 @@ def _run_show(arguments: argparse.Namespace) -> int:
 
 def _run_chart(arguments: argparse.Namespace) -> int:
     from calib.core.errors import InputError
-    from calib.history.figure import chart_figure
+    from calib.history.drawing import chart_rows, one_drawing
     from calib.history.index import history
     from calib.history.quantities import series
     from calib.history.summary import ACCEPTED, since
-    from calib.report.plotting import svg
     from calib.stages.store import write_bytes
 
     accepted = arguments.accepted or ACCEPTED
@@ -196,7 +220,7 @@ def _run_chart(arguments: argparse.Namespace) -> int:
             what=f"has {len(entries)} calibrations, of which {accepted} make the reference",
             remedy="calibrate it again, or give a smaller --accepted",
         )
-    picture = svg(chart_figure(series(entries), accepted=accepted))
+    picture = one_drawing(chart_rows(series(entries), accepted=accepted)).encode()
     write_bytes(arguments.out, picture.replace(b"<svg ", b"<svg " + MARK, 1))
     print(f"{harmless(str(arguments.out))}: written")
     return 0
@@ -224,21 +248,22 @@ def _run_page(arguments: argparse.Namespace) -> int:
     from calib.history.index import history, rigs
     from calib.history.page import fleet_page, page_name, rig_page
     from calib.history.summary import ACCEPTED, since
-    from calib.stages.store import write_bytes
+    from calib.stages.store import make_folder, write_bytes
 
     asked = {"accepted": arguments.accepted or ACCEPTED, "tolerance_mm": arguments.tolerance}
     if arguments.rig is None and arguments.repaired is not None:
         raise UsageError("--repaired: name the rig that was repaired, by --rig")
     wanted = [arguments.rig] if arguments.rig else [rig for rig, _, _ in rigs(arguments.index)]
     pages = {rig: since(history(arguments.index, rig), arguments.repaired) for rig in wanted}
-    arguments.out.mkdir(parents=True, exist_ok=True)
-    overview = arguments.out / FLEET
-    if arguments.rig is None or not overview.exists():
+    make_folder(arguments.out)
+    names = [FLEET, *map(page_name, pages)]
+    places = files_of(arguments.out, names, PAGES, option="--out", force=arguments.force)
+    if arguments.rig is None or not places[FLEET].exists():
         fleet = [history(arguments.index, rig) for rig, _, _ in rigs(arguments.index)]
-        write_bytes(overview, fleet_page(fleet, **asked).encode())
+        write_bytes(places[FLEET], fleet_page(fleet, **asked).encode())
     for rig, entries in pages.items():
-        write_bytes(arguments.out / page_name(rig), rig_page(entries, **asked).encode())
-    said = overview if arguments.rig is None else arguments.out / page_name(arguments.rig)
+        write_bytes(places[page_name(rig)], rig_page(entries, **asked).encode())
+    said = places[FLEET if arguments.rig is None else page_name(arguments.rig)]
     print(f"{harmless(str(said))}: written")
     return 0
 
@@ -247,7 +272,7 @@ def _run_check(arguments: argparse.Namespace) -> int:
     from calib.history.output import text
     from calib.history.read_standard import read_standard
     from calib.history.standard import check_standard
-    from calib.history.standard_text import findings, page, table
+    from calib.history.standard_text import findings, notes, page, table
     from calib.instrument.calibration_file import read_calibration
     from calib.instrument.measuring import table_text
     from calib.stages.store import write_bytes
@@ -258,6 +283,8 @@ def _run_check(arguments: argparse.Namespace) -> int:
     )
     standard = read_standard(arguments.standard)
     name = str(arguments.readings)
+    if arguments.gaze or arguments.rig is not None:
+        _add_session(arguments, measuring, standard)
     checked = check_standard(
         measuring, standard, table_text(arguments.readings, name=name), name=name
     )
@@ -265,8 +292,8 @@ def _run_check(arguments: argparse.Namespace) -> int:
     title = f"Check standard {standard.serial}"
     dates = f"{len(checked.dates)} sessions, {checked.dates[0]} to {checked.dates[-1]}"
     sys.stdout.write(text([(f"{title}: {dates}", table(checked, accepted=accepted))]))
-    if len(checked.dates) <= accepted:
-        print(f"note: {len(checked.dates)} of {accepted} sessions at acceptance: no chart yet")
+    for note in notes(checked, accepted=accepted):
+        print(f"note: {note}")
     said = findings(checked, accepted=accepted)
     for finding in said:
         print(f"ALARM: {finding}")
@@ -274,3 +301,46 @@ def _run_check(arguments: argparse.Namespace) -> int:
         write_bytes(arguments.out, page(title, checked, accepted=accepted).encode())
         print(f"page: {harmless(str(arguments.out))}")
     return GATE_FAILED if said or minded else DONE
+
+
+def _add_session(arguments: argparse.Namespace, measuring: Measuring, standard: Standard) -> None:
+    """Gaze at the standard and add what was read to the table, whole or not at all."""
+    from calib.core.errors import InputError
+    from calib.gaze.measured import aiming, lenses
+    from calib.gaze.placing import placing_for
+    from calib.history.gazed import gaze_standard, has_sessions, targets_of, with_session
+    from calib.history.standard import check_standard
+    from calib.rig.known import known_board
+    from calib.stages.store import write_bytes
+
+    name, plates = (
+        str(arguments.readings),
+        "plate:" in "".join(map(standard.gazed_as, standard.targets)),
+    )
+    before, table = _table_so_far(arguments.readings), arguments.readings.resolve()
+    if not table.parent.is_dir():
+        raise InputError.single(
+            where=str(table.parent), what="is not a folder", remedy="make it, or name another"
+        )
+    if has_sessions(before, name=name):
+        # What cannot be read afterwards is told before the rig moves.
+        check_standard(measuring, standard, before, name=name)
+    with opened(arguments.rig, virtual_target=PLATE if plates else None) as rig:
+        known = lenses(measuring, rig, name=str(arguments.calibration))
+        targets = targets_of(standard, known_board(rig))
+        first = next(iter(targets.values()))
+        gazer = make_gazer(arguments, rig, known.c2, lens_c1=known.c1, at=first)
+        if rig.world is not None:
+            placing_for(rig, print).place(standard.serial)
+        rows = gaze_standard(gazer, aiming(measuring, known.c1), targets)
+    now = datetime.now().isoformat(timespec="seconds")
+    after = with_session(_table_so_far(arguments.readings), rows, date=now, name=name)
+    check_standard(measuring, standard, after, name=name)
+    write_bytes(table, after.encode())
+    print(f"{harmless(name)}: session of {now} added", file=sys.stderr)
+
+
+def _table_so_far(path: Path) -> str:
+    from calib.instrument.measuring import table_text
+
+    return table_text(path, name=str(path)) if path.exists() else ""

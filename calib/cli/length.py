@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import sys
 
-from calib.cli.acceptance import add_acceptance, warn_of_failed
-from calib.cli.arguments import add_input, add_output, positive
+from calib.cli.acceptance import add_calibration, warn_of_failed
+from calib.cli.arguments import add_output, positive
 from calib.cli.gaze import make_gazer
 from calib.cli.measure import writer
 from calib.cli.rig_options import add_rig, opened
+from calib.cli.streams import say
 from calib.stages.output_guard import OutputKind
 
 DONE, NOT_ALL = 0, 3
@@ -22,7 +22,7 @@ LENGTHS = OutputKind(is_folder=False, marks=(b"id,from,to,length_mm,",))
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    add_input(parser, "calibration", metavar="CALIBRATION.json")
+    add_calibration(parser)
     add_rig(parser)
     parser.add_argument(
         "--from", dest="start", default="plate:left-upper", metavar="TARGET",
@@ -44,7 +44,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--model", default="selected", metavar="NAME",
         help="selected (default), a fitted model, or average over all of them",
     )  # fmt: skip
-    add_acceptance(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -89,4 +88,4 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _tell(line: str) -> None:
-    print(line, file=sys.stderr, flush=True)
+    say(line)

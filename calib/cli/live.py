@@ -7,7 +7,8 @@ import importlib.util
 import sys
 from pathlib import Path
 
-from calib.cli.arguments import add_input, add_output, run_folder, whole
+from calib.cli.acceptance import add_calibration, warn_of_failed
+from calib.cli.arguments import add_output, run_folder, whole
 from calib.cli.guided_capture import DATASET
 from calib.cli.rig_options import add_rig
 from calib.core.errors import UsageError, harmless
@@ -23,10 +24,7 @@ NEEDED = ("starlette", "uvicorn", "websockets")
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    add_input(
-        parser, "calibration", nargs="?", metavar="CALIBRATION.json",
-        help="default: that of the dataset's last run",
-    )  # fmt: skip
+    add_calibration(parser, nargs="?", help="default: that of the dataset's last run")
     add_rig(parser)
     add_output(
         parser, "--dataset", kind=DATASET, default=Path("datasets/live"), metavar="DIR",
@@ -50,6 +48,7 @@ def run(arguments: argparse.Namespace) -> int:
             f"live: {', '.join(missing)} cannot be imported; install the extra `web`: "
             "pip install 'active-gazing-calib[web]'"
         )
+    from calib.instrument.calibration_file import read_calibration
     from calib.live.bench import Places
     from calib.live.serve import serve
     from calib.live.session import Given
@@ -60,7 +59,13 @@ def run(arguments: argparse.Namespace) -> int:
         settings=read_settings(arguments.rig),
         places=Places(arguments.rig, arguments.dataset, out),
         calibration=arguments.calibration,
+        allow_edited=arguments.allow_edited,
+        accept_failed=arguments.accept_failed,
     )
+    if given.calibration is not None:
+        # Before the motor is asked for anything, and where the command was given.
+        measuring = read_calibration(given.calibration, allow_edited=given.allow_edited)
+        warn_of_failed(given.calibration, measuring.failed_gates, accepted=given.accept_failed)
     serve(given, host=arguments.host, port=arguments.port, announce=_announce)
     return DONE
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from calib.cli.arguments import add_input, add_output, depth, natural, number, run_folder, whole
+from calib.core.errors import harmless
 from calib.stages.output_guard import RUN_FOLDER, OutputKind
 
 if TYPE_CHECKING:
@@ -104,6 +105,18 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
+def note_broken(out: Path) -> None:
+    """Say on stderr if the outputs of a run are not whole; its stages have digests of their own."""
+    from calib.stages.manifest import MANIFEST, faults
+
+    if (out / MANIFEST).exists() and (found := faults(out)):
+        print(
+            f"calib: note: {harmless(str(found[0]))}; the plan uses none of its outputs, only "
+            "finished stages, each by its own digest",
+            file=sys.stderr,
+        )
+
+
 def _prior_knowledge(dataset: Dataset, folder: Path | None, *, force: bool) -> PriorKnowledge:
     """Return what is known of the dataset, by its images where it has some."""
     from calib.cli.console import Console
@@ -118,6 +131,7 @@ def _prior_knowledge(dataset: Dataset, folder: Path | None, *, force: bool) -> P
     console = Console()
     try:
         out = run_folder(folder, dataset.root, force=force)
+        note_broken(out)
         return from_images(dataset, Store(out, console.announce, console.progress))
     finally:
         console.close()

@@ -4,20 +4,19 @@ from __future__ import annotations
 
 import argparse
 import math
+from collections.abc import Iterable
 from functools import partial
 
 from calib.cli.arguments import add_output, natural, whole
 from calib.cli.voice import add_voice
 from calib.core.errors import UsageError, harmless
-from calib.stages.output_guard import OutputKind
+from calib.stages.output_guard import NEW_FOLDER
 
 MOST_ROWS = 1_000_000
 """What a table of a dataset may hold."""
 
 LARGEST_SETTING = 1e6
 """Of a parameter: a kilometre of baseline, or as many radians, is a slip of the keyboard."""
-
-NEW_FOLDER = OutputKind(is_folder=True)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -63,7 +62,7 @@ def run(arguments: argparse.Namespace) -> int:
         is_left=arguments.c2 == "left",
         outlier_share=arguments.outliers,
         faults=dict(_fault(text) for text in arguments.fault),
-        fixed=dict(_assignment(text) for text in arguments.set),
+        fixed=_each_once(map(_assignment, arguments.set)),
     )
     console = Console(quiet=arguments.quiet)
     try:
@@ -74,6 +73,15 @@ def run(arguments: argparse.Namespace) -> int:
         return 0
     print(f"{harmless(str(arguments.out))}: written, with its truth in truth.json")
     return 0
+
+
+def _each_once(assignments: Iterable[tuple[str, float]]) -> dict[str, float]:
+    found: dict[str, float] = {}
+    for name, value in assignments:
+        if name in found:
+            raise UsageError(f"--set {name}: is given twice; give it once")
+        found[name] = value
+    return found
 
 
 def _fault(text: str) -> tuple[str, float | None]:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from calib.cli.arguments import add_output, jobs, natural, whole
 from calib.cli.voice import add_voice
-from calib.stages.output_guard import OutputKind
+from calib.stages.output_guard import OutputKind, files_of
 
 DONE, CLAIM_BROKEN = 0, 3
 
@@ -18,7 +18,16 @@ MOST_RIGS = 1_000_000
 """A month on a hundred processors."""
 
 JOURNAL = "rigs.jsonl"
-STUDY = OutputKind(is_folder=True, marks=(JOURNAL,))
+MARK = b'data-generator="calib study" '
+STUDY = OutputKind(
+    is_folder=True,
+    files=(
+        (JOURNAL, (b'{"condition":"',)),
+        ("scores.csv", (b"condition,subject,",)),
+        ("scores.json", (b'"generator": "calib ',)),
+        ("*.svg", (MARK,)),
+    ),
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -50,17 +59,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Run the study and return the exit status: 3 if a claim is clearly broken."""
     from calib.cli.console import Console
+    from calib.stages.store import write_bytes
     from calib.study.claims import judge, verdict_text
     from calib.study.conditions import chosen
-    from calib.study.output import write_study
+    from calib.study.output import study_files, study_names
     from calib.study.run import run_study
     from calib.study.scores import score_all
 
     conditions = chosen(tuple(arguments.condition or ("default",)))
+    # Before the work of hours, of which nothing could be written afterwards.
+    places = files_of(
+        arguments.out, (JOURNAL, *study_names()), STUDY, option="--out", force=arguments.force
+    )
     console = Console(quiet=arguments.quiet)
     try:
         records = run_study(
-            arguments.out / JOURNAL,
+            places[JOURNAL],
             conditions,
             rigs=arguments.rigs,
             seed=arguments.seed,
@@ -78,10 +92,12 @@ def run(arguments: argparse.Namespace) -> int:
         "rigs": arguments.rigs,
         "conditions": list(conditions),
     }
-    written = write_study(arguments.out, records, scores, verdicts, settings=settings)
+    files = study_files(records, scores, verdicts, settings=settings, mark=MARK)
+    for name, content in files.items():
+        write_bytes(places[name], content)
     told = [v for v in verdicts if v.broken] if arguments.quiet else verdicts
     lines = [verdict_text(verdict) for verdict in told]
     if not arguments.quiet:
-        lines.append("written: " + ", ".join(str(path) for path in written))
+        lines.append("written: " + ", ".join(str(places[name]) for name in files))
     sys.stdout.write("".join(f"{line}\n" for line in lines))
     return CLAIM_BROKEN if any(verdict.broken for verdict in verdicts) else DONE

@@ -15,7 +15,7 @@ WHOLE, BROKEN = 0, 2
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    add_input(parser, "folder", metavar="DIR", help="folder of a run")
+    add_input(parser, "folder", metavar="DIR", is_calibration=True, help="folder of a run")
     add_voice(parser, json_help="print problems and what was verified as JSON")
 
 

@@ -9,6 +9,9 @@ from typing import Any
 
 KEY = "integrity"
 
+GENERATOR = "generator"
+"""Key of the program that wrote a document: it writes none without a digest."""
+
 
 def content_digest(document: Mapping[str, Any]) -> str:
     """Return the SHA-256, hex, of a JSON document's content but for the digest itself.
@@ -26,10 +29,13 @@ def with_digest(document: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def is_edited(document: Mapping[str, Any]) -> bool:
-    """Return whether a document that carries a digest is not what the digest is of."""
+    """Return whether a document is not what its digest is of, or has lost it.
+
+    One that names no generator was not written by this program, and need not carry a digest.
+    """
     stated = document.get(KEY)
     if stated is None:
-        return False
+        return GENERATOR in document
     if not isinstance(stated, dict):
         return True
     try:

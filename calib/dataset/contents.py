@@ -12,6 +12,7 @@ from calib.dataset.messages import row_place
 from calib.dataset.tables import GazeTable, LengthTable, SweepTable
 from calib.geometry.board import Board
 from calib.geometry.camera import Camera
+from calib.stages.owner import Owner
 
 
 @dataclass(frozen=True)
@@ -66,6 +67,14 @@ class Dataset:
     def rows(self) -> tuple[GazeTable, ...]:
         """The tables of gazes there are."""
         return tuple(table for table in (self.gaze, self.validation) if table is not None)
+
+    @property
+    def owner(self) -> Owner:
+        """What it says of itself to the folder of its run."""
+        manifest = self.manifest
+        certified = None if manifest.certificate is None else manifest.certificate.serial
+        rig = None if manifest.rig is None else manifest.rig.serial
+        return Owner(self.root, self.sha256, manifest.name, certified or rig or "")
 
     @property
     def row_images(self) -> Mapping[str, str]:

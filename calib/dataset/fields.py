@@ -27,6 +27,7 @@ LARGEST_BOARD = 200
 
 # Beyond one of these a value is a slip of unit, not a rig.
 LARGEST_STEP_DEG = 10.0
+LARGEST_U_FOCAL = 0.1
 LARGEST_U_X1C = 0.05
 LARGEST_U_Z_REL = 0.5
 SMALLEST_SQUARE_MM = 0.5
@@ -133,6 +134,8 @@ StepDeg = Annotated[Positive, _STEP]
 UAngleDeg = Annotated[NotNegative, _STEP]
 _X1C = _at_most(LARGEST_U_X1C, unit="parts of the focal length: pixels / fx", slip="pixels")
 UX1c = Annotated[NotNegative, _X1C]
+_FOCAL = _at_most(LARGEST_U_FOCAL, unit="parts of the focal length: 0.001 for 0.1 %", slip="pixels")
+UFocal = Annotated[NotNegative, _FOCAL]
 _REL = _at_most(LARGEST_U_Z_REL, unit="parts of z: 0.01 for 1 %", slip="per cent")
 UZRel = Annotated[NotNegative, _REL]
 DepthTolerance = Annotated[Positive, _REL]

@@ -34,6 +34,7 @@ from calib.dataset.fields import (
     Published,
     SquareMm,
     Target,
+    UFocal,
     UX1c,
     UZRel,
     refuse,
@@ -145,7 +146,8 @@ class Board(Section):
 class Camera(Section):
     """One camera: images of the board, a finished model, or given intrinsics.
 
-    `exclude` names images that are left out.
+    `exclude` names images that are left out. `u_focal`, relative, and `u_centre_px` are standard
+    uncertainties of a lens that is given; without them `calib.dataset.given_lens` has some.
     """
 
     image_size: tuple[Pixels, Pixels] | None = None
@@ -154,6 +156,8 @@ class Camera(Section):
     model: Line | None = None
     matrix: CameraMatrix | None = None
     distortion: tuple[Number, ...] | None = None
+    u_focal: UFocal | None = None
+    u_centre_px: NotNegative | None = None
 
     @model_validator(mode="after")
     def _check_source(self) -> Camera:
@@ -172,6 +176,11 @@ class Camera(Section):
     def _check_matrix(self) -> Camera:
         if self.exclude and self.images is None:
             refuse("exclude is given without images", "remove it")
+        if self.images is not None and (self.u_focal, self.u_centre_px) != (None, None):
+            refuse(
+                "u_focal or u_centre_px is given with images",
+                "remove it: the images tell what is uncertain",
+            )
         if self.distortion is not None and self.matrix is None:
             refuse("distortion is given without matrix", "give both, or neither")
         if len(self.distortion or ()) not in DISTORTION_LENGTHS:

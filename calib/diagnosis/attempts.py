@@ -12,12 +12,14 @@ from calib.core.errors import EstimationError
 from calib.diagnosis.hypotheses import HYPOTHESES, Hypothesis
 from calib.diagnosis.refit import Added, Linear, Refit, Setting, stated_errors
 from calib.diagnosis.session import Session
-from calib.diagnosis.trials import Loaded, Looked, Mended, Search, Trial, TwoSided
+from calib.diagnosis.small_prior import by_small_prior
+from calib.diagnosis.trials import Loaded, Looked, Mended, Periodic, Search, Trial, TwoSided
 from calib.fit.noise import ROBUST, log_density
 from calib.fit.priors import Priors, measured_of, prior_of
 from calib.fit.robust import LEFT_TO_PRIOR, RobustFit, fit_robust, too_much
 from calib.geometry.misclosure import misclosure_value
 from calib.geometry.parameters import INDEX, MODELS, REFERENCE_OFFSET, Model, model_for
+from calib.geometry.plane import OBSERVABLE
 from calib.rows.observations import Observations
 
 REFITTED = 3
@@ -46,6 +48,12 @@ SHARE_STD = 3.0
 
 SHARE_TOLERANCE = 0.25
 """Of a mistake that has no size, how far the size found may be from 1."""
+
+PHASE_ROUNDS = 4
+"""Rounds in which the phase of a periodic error settles."""
+
+WIDER = 5.0
+"""Factor by which priors of the manifest may be too narrow."""
 
 RICHER = "axis-offset"
 """Model with which hypotheses are tried beside the selected one."""
@@ -125,8 +133,34 @@ def bases(rows: Observations, session: Session, priors: Priors, fit: RobustFit) 
     if not found or found[0].setting.model.free != fit.names:
         return ()
     reference = max(base.refit.evidence + base.volume for base in found)
+    reference = max(reference, *(_with_wide_priors(base, fit) for base in found))
     told = [base for base in found if base.setting.model.name in (fit.model, RICHER)]
     return tuple(replace(base, reference=reference) for base in told)
+
+
+def _with_wide_priors(base: Base, fit: RobustFit) -> float:
+    """Return the evidence of a model with the priors of the manifest too narrow, nats.
+
+    It is no mistake of the rows if priors were stated too narrow: what they then push into a
+    hypothesis is no evidence for it. Each wider prior costs the logarithm of its factor.
+    """
+    setting = base.setting
+    wide = {
+        name: (mean, WIDER * std)
+        for name, (mean, std) in setting.priors.stated.items()
+        if name in setting.model.free and name != REFERENCE_OFFSET
+    }
+    if not wide:
+        return -np.inf
+    priors = replace(setting.priors, stated={**setting.priors.stated, **wide})
+    found = replace(setting, priors=priors).refit(
+        base.refit.theta, base.refit.scale, Added.none(len(setting.rows))
+    )
+    if found is None:
+        return -np.inf
+    volume = _prior_volume(priors, setting.model, set(setting.model.free) - set(fit.names))
+    cost = sum(np.log(WIDER) for name in wide if name in fit.names)
+    return found[0].evidence + volume - float(cost) - float(np.log(len(HYPOTHESES)))
 
 
 def _models(rows: Observations, fit: RobustFit) -> list[Model]:
@@ -170,25 +204,29 @@ def best_of(hypothesis: Hypothesis, base: Base) -> Outcome | None:
 
 def _tried(trial: Trial, hypothesis: Hypothesis, base: Base) -> Iterator[Outcome]:
     """Yield what comes of a trial, its places refitted where they are promising."""
+    found: Outcome | None
     match trial:
-        case Search(column=column, patterns=patterns, at=at):
-            gains = base.linear.gains(column, patterns)
-            for place in np.argsort(-gains, kind="stable")[:REFITTED]:
-                found = _loaded(trial.loadings(int(place)), hypothesis, base)
-                if found is not None:
-                    yield replace(found, at=at[place])
+        case Search():
+            yield from _searched(trial, hypothesis, base)
+            return
         case Loaded(loadings=loadings):
             found = _loaded(loadings, hypothesis, base)
-            if found is not None:
-                yield found
+        case Periodic():
+            found = _periodic(trial, hypothesis, base)
         case TwoSided(loadings=loadings):
             found = _two_sided(loadings, hypothesis, base)
-            if found is not None:
-                yield found
         case Mended():
             found = _mended(trial, base)
-            if found is not None:
-                yield found
+    if found is not None:
+        yield found
+
+
+def _searched(trial: Search, hypothesis: Hypothesis, base: Base) -> Iterator[Outcome]:
+    gains = base.linear.gains(trial.column, trial.patterns)
+    for place in np.argsort(-gains, kind="stable")[:REFITTED]:
+        found = _loaded(trial.loadings(int(place)), hypothesis, base)
+        if found is not None:
+            yield replace(found, at=trial.at[place])
 
 
 def _prior(hypothesis: Hypothesis, count: int) -> FloatArray:
@@ -203,10 +241,27 @@ def _loaded(
     if found is None:
         return None
     refit = found[0]
-    gain = base.gain(refit)
+    gain = base.gain(refit) + by_small_prior(
+        refit, loadings, extra.prior_std, base.linear, base.refit.scale
+    )
     return Outcome(
         None, refit, loadings, gain, refit.added, refit.covariance, base.refit, base.looked.rows.ids
     )
+
+
+def _periodic(trial: Periodic, hypothesis: Hypothesis, base: Base) -> Outcome | None:
+    """Return the fit of errors that repeat with the true angle, which they are taken off to get."""
+    alpha = base.looked.rows.alpha2_rad
+    loadings, best = trial.loadings(alpha), None
+    for _ in range(PHASE_ROUNDS):
+        found = _loaded(loadings, hypothesis, base)
+        if found is None:
+            break
+        if best is None or found.gain > best.gain:
+            best = found
+        error = loadings[:, OBSERVABLE.alpha2] @ found.values
+        loadings = trial.loadings(alpha - error)
+    return best
 
 
 def _two_sided(loadings: FloatArray, hypothesis: Hypothesis, base: Base) -> Outcome | None:

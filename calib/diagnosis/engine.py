@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
@@ -28,7 +29,7 @@ from calib.rows.observations import Observations
 MOST_ROWS = 1000
 """Rows looked at: of a longer table so many, evenly; they tell any cause worth naming."""
 
-DECISIVE = 4.0
+DECISIVE = 2.0
 """Evidence from which a cause is named, in nats, all penalties paid."""
 
 MATTERS = 1.0
@@ -39,6 +40,9 @@ AS_GOOD = 3.0
 
 _OF_OUTLIERS = ("rows-exchanged", "unit", "group-reference")
 """Hypotheses about rows that the fit rejects."""
+
+
+SeenIn = Literal["rows", "references"]
 
 
 @dataclass(frozen=True)
@@ -57,6 +61,8 @@ class Attempt:
     gain
         Evidence for it, nats: the gain in the logarithm of the marginal likelihood, less penalties
         for hypotheses and places tried.
+    seen_in
+        Where the evidence is from: calibration "rows", or independent "references".
     """
 
     name: str
@@ -64,6 +70,7 @@ class Attempt:
     estimate: float
     std: float
     gain: float
+    seen_in: SeenIn = "rows"
 
     @property
     def hypothesis(self) -> Hypothesis:
@@ -74,10 +81,12 @@ class Attempt:
     def text(self) -> str:
         """What it says, with its figures."""
         value = f"{self.estimate:.3g} +- {self.std:.2g} {self.hypothesis.unit}".removesuffix(" 1")
-        return self.hypothesis.text.format(value=value, at=self.at)
+        by_rows, by_references = self.hypothesis.text, self.hypothesis.by_references
+        text = by_rows if self.seen_in == "rows" else by_references
+        return text.format(value=value, at=self.at)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Cause(Attempt):
     """A hypothesis that the rows speak for.
 
@@ -137,9 +146,15 @@ class Diagnosis:
         found = [c for c in self.causes if not c.is_carried and c.effect > MATTERS]
         return found[0] if found else None
 
+    @property
+    def by_rows(self) -> tuple[Cause, ...]:
+        """The causes that calibration rows show."""
+        return tuple(cause for cause in self.causes if cause.seen_in == "rows")
+
     def others(self, cause: Cause) -> tuple[str, ...]:
-        """Return the names of the causes that explain the rows about as well as one of them."""
-        return tuple(other.name for other in self.causes if other.name != cause.name)
+        """Return the names of causes that explain the same data about as well as one of them."""
+        same = [other for other in self.causes if other.seen_in == cause.seen_in]
+        return tuple(other.name for other in same if other.name != cause.name)
 
     def words(self, cause: Cause) -> str:
         """Return what a cause says, its remedy and what else it may be."""

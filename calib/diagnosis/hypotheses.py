@@ -38,6 +38,8 @@ class Hypothesis:
         Whether later readings have the error as well, until it is mended.
     is_odd
         Whether the parameter changes its sign in a mirror.
+    by_references
+        What it says where independent references show it; "" where they do not.
     is_size
         Whether it has several parameters, whose root sum of squares is stated.
     """
@@ -53,6 +55,7 @@ class Hypothesis:
     of_readings: bool = False
     is_odd: bool = False
     is_size: bool = False
+    by_references: str = ""
 
 
 _RETURN = "return to the first target every ten rows and compare the readings"
@@ -72,6 +75,17 @@ _ENTRIES = (
         "reference-offset", trials.reference_offset, "mm", 1.0, 50.0,
         "z_mm counts from {value} in front of C1's optical centre",
         "state z_from in [gaze], or measure from C1's optical centre", _TAPE,
+        by_references="validation depths count from {value} in front of where the calibration "
+        "rows' do",
+    ),
+    Hypothesis(
+        "reference-scale", trials.by_references_alone, "%", 0.01, 3.0,
+        "all reference depths of the calibration rows are {value} too large",
+        "check the scale of the reference (tape, squares of the board, baseline of the pairs) "
+        "against a known length, and calibrate again",
+        "measure known lengths across and known depths, near and far",
+        by_references="against independent references all of the calibration rows' depths are "
+        "{value} too large",
     ),
     Hypothesis(
         "reference-bias-near", trials.bias_near, "mm", 1.0, 30.0,
@@ -86,6 +100,8 @@ _ENTRIES = (
         "from row {at} on alpha2 reads {value} more than before",
         "look for a slip, a lost step or a new homing there; calibrate with the rows of one "
         "side of it", _RETURN, is_odd=True,
+        by_references="alpha2 reads {value} more in the validation rows than in the calibration "
+        "rows",
     ),
     Hypothesis(
         "reading-drift", trials.reading_drift, "deg", DEG, 0.3,

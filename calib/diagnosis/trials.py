@@ -60,6 +60,24 @@ class Loaded:
 
 
 @dataclass(frozen=True)
+class Periodic:
+    """Errors of readings that repeat with the angle where the axis truly stands.
+
+    Parameters
+    ----------
+    period_rad
+        Of the errors.
+    """
+
+    period_rad: float
+
+    def loadings(self, alpha2_rad: FloatArray) -> FloatArray:
+        """Return the errors per unit of cosine and sine at true angles, shape (n, 5, 2)."""
+        phase = 2 * np.pi * alpha2_rad / self.period_rad
+        return on_column(OBSERVABLE.alpha2, np.stack([np.cos(phase), np.sin(phase)], axis=1))
+
+
+@dataclass(frozen=True)
 class TwoSided:
     """An error by which each row is off to one of two sides, nobody knows which.
 
@@ -98,7 +116,7 @@ class Mended:
     exchanged: tuple[int, ...] = ()
 
 
-Trial = Search | Loaded | TwoSided | Mended
+Trial = Search | Loaded | Periodic | TwoSided | Mended
 
 
 @dataclass(frozen=True)
@@ -183,11 +201,11 @@ def microstep(seen: Looked) -> tuple[Trial, ...]:
     periods = [full] if full is not None else [session.step_rad * 2**k for k in range(2, 9)]
     found: list[Trial] = []
     for period in periods:
-        phase = 2 * np.pi * alpha / period
-        waves = np.stack([np.cos(phase), np.sin(phase)], axis=1)
+        trial = Periodic(period)
+        waves = trial.loadings(alpha)[:, OBSERVABLE.alpha2]
         varies = np.linalg.svd(waves - waves.mean(axis=0), compute_uv=False)[-1]
         if period < 8 * DEG and varies > 0.1 * np.sqrt(len(alpha)):
-            found.append(Loaded(on_column(OBSERVABLE.alpha2, waves)))
+            found.append(trial)
     return tuple(found)
 
 
@@ -219,6 +237,11 @@ def principal_point(seen: Looked) -> tuple[Trial, ...]:
 def focal_length(seen: Looked) -> tuple[Trial, ...]:
     """Let coordinates be too large by a factor."""
     return _of_c1(seen.rows.x1c, seen.rows.y1c)
+
+
+def by_references_alone(_: Looked) -> tuple[Trial, ...]:
+    """Try nothing on the rows: only independent references show it."""
+    return ()
 
 
 def range_not_depth(seen: Looked) -> tuple[Trial, ...]:

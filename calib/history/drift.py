@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import chi2, norm
+from scipy.special import chdtrc, ndtri
 
 from calib.core.arrays import FloatArray
 from calib.geometry.misclosure import depth_jacobian
@@ -190,7 +190,7 @@ def drift(first: Run, other: Run) -> Drift:
         # Under another model L_b and the rest mean something else; L_b + e and depths do not.
         shared = [EFFECTIVE]
     depths = _depth_changes(first, other)
-    limit = float(norm.isf(FAMILY_RISK / 2 / (len(shared) + len(depths))))
+    limit = float(-ndtri(FAMILY_RISK / 2 / (len(shared) + len(depths))))
     changes = []
     for name in shared:
         (a, u), (b, v) = earlier[name], later[name]
@@ -243,7 +243,7 @@ def _together(first: Run, other: Run) -> float | None:
     unit = np.array([PARAMETERS[INDEX[name]].scale for name in a.names])
     joint = (a.covariance + b.covariance) / np.outer(unit, unit)
     square = float(difference / unit @ np.linalg.pinv(joint, hermitian=True) @ (difference / unit))
-    return float(chi2.sf(square, len(unit)))
+    return float(chdtrc(len(unit), square))
 
 
 def _depth_changes(first: Run, other: Run) -> list[tuple[float, float, float]]:

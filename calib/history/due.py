@@ -10,8 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import logsumexp
-from scipy.stats import norm
+from scipy.special import logsumexp, ndtr
 
 from calib.core.arrays import FloatArray
 
@@ -113,9 +112,7 @@ def next_due(days: FloatArray, values: FloatArray, std: FloatArray, *, tolerance
 
 def _outside(tolerance: float, away: FloatArray, variance: FloatArray) -> FloatArray:
     spread = np.sqrt(variance)
-    found: FloatArray = norm.sf((tolerance - away) / spread) + norm.cdf(
-        (-tolerance - away) / spread
-    )
+    found: FloatArray = ndtr((away - tolerance) / spread) + ndtr((-tolerance - away) / spread)
     return found
 
 

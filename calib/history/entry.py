@@ -9,7 +9,7 @@ date in run.toml.
 from __future__ import annotations
 
 import hashlib
-import json
+import re
 import tomllib
 from dataclasses import dataclass
 from datetime import UTC, date, datetime
@@ -19,21 +19,42 @@ from typing import Any
 import numpy as np
 from lxml import etree
 from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic_core import from_json
 
 from calib.core.arrays import FloatArray
+from calib.core.errors import InputError
+from calib.core.limited import read_limited
 from calib.core.seal import is_edited
 from calib.geometry.parameters import INDEX
+from calib.instrument.calibration_file import FILE_LIMIT_BYTES
+from calib.stages.manifest import AGAIN, MANIFEST, is_run, refuse_broken
 
 RESULT, CERTIFICATE, RUN = "calibration.json", "certificate.xml", "run.toml"
 
 ROUNDING = 1e-6
 """Of correlations."""
 
-_DCC = {"dcc": "https://ptb.de/dcc"}
+FILES = (RESULT, CERTIFICATE, RUN, MANIFEST)
+"""All that is read of a folder."""
+
+_NAMESPACE = "https://ptb.de/dcc"
+_DCC = {"dcc": _NAMESPACE}
+_ADMINISTRATIVE = f"{{{_NAMESPACE}}}administrativeData"
 _SERIAL = (
-    "//dcc:items/dcc:item/dcc:identifications/dcc:identification"
+    "dcc:items/dcc:item/dcc:identifications/dcc:identification"
     "[dcc:name/dcc:content='serial number']/dcc:value/text()"
 )
+_PERFORMED = "dcc:coreData/dcc:endPerformanceDate"
+
+CHUNK_BYTES = 16_384
+"""Of a certificate at a time: what identifies it stands first, the tables after it are not read."""
+
+_RUN_SECTION = re.compile(r"^\[run\]\n(?:[^\[\n].*\n|\n)*", re.MULTILINE)
+"""The section of run.toml that says when the run ended: all of it takes ten times as long."""
+
+
+class GatesFailedError(ValueError):
+    """A calibration's gates failed: it is told, and is no fault of the files."""
 
 
 @dataclass(frozen=True)
@@ -114,22 +135,26 @@ def read_entry(folder: Path) -> Entry:
 
     Raises
     ------
+    GatesFailedError
+        If its calibration must not be used.
     ValueError
-        If its calibration cannot be read; the text says why.
+        If it cannot be read, was edited or is of no whole run; the text says why.
     """
+    content = _whole(folder, RESULT)
     try:
-        content = (folder / RESULT).read_bytes()
-        document = _Document.model_validate_json(content)
-    except OSError as error:
-        raise ValueError(error.strerror or str(error)) from error
+        raw = from_json(content)
+        document = _Document.model_validate(raw)
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"]) or "the file"
         raise ValueError(f"{where}: {first['msg']}") from error
+    except ValueError as error:
+        raise ValueError(f"is no JSON ({error})") from error
     failed = [gate.name for gate in document.gates if not gate.passed]
     if failed:
-        raise ValueError(f"must not be used: gate {', '.join(failed)} failed")
-    if is_edited(json.loads(content)):
+        raise GatesFailedError(f"must not be used: gate {', '.join(failed)} failed")
+    # In the folder of a run its manifest has said already that the file is what the run wrote.
+    if not is_run(folder) and is_edited(raw):
         raise ValueError("was edited after the run that wrote it")
     m = document.measurement
     values, covariance = np.array(m.values), np.array([list(row) for row in m.covariance])
@@ -158,6 +183,22 @@ def read_entry(folder: Path) -> Entry:
     )
 
 
+def _whole(folder: Path, name: str) -> bytes:
+    """Return the bytes of a file beside a calibration, which must be those that the run wrote."""
+    path = folder / name
+    try:
+        content = read_limited(path, FILE_LIMIT_BYTES, regular=True)
+        refuse_broken(path, content)
+    except InputError as error:
+        # No option takes it: an index is of what runs wrote.
+        fault = error.problems[0]
+        named = "" if fault.where == str(folder) else f"{Path(fault.where).name} "
+        raise ValueError(f"{named}{fault.what}; {AGAIN}") from error
+    except OSError as error:
+        raise ValueError(f"{name}: {error.strerror or error}") from error
+    return content
+
+
 def _refuse_impossible(m: _Measurement, covariance: FloatArray) -> None:
     """Raise if no rig can have such a calibration: its charts would show no number, or a lie."""
     if len(set(m.names)) < len(m.names) or "baseline_mm" not in m.names:
@@ -166,7 +207,7 @@ def _refuse_impossible(m: _Measurement, covariance: FloatArray) -> None:
     if not np.all(np.diagonal(covariance) > 0):
         raise ValueError("measurement.covariance: a variance is not above 0")
     correlation = covariance / np.outer(scale, scale)
-    if not np.allclose(correlation, correlation.T, rtol=0, atol=ROUNDING):
+    if not np.abs(correlation - correlation.T).max() <= ROUNDING:
         raise ValueError("measurement.covariance: is not symmetric")
     if np.linalg.eigvalsh(correlation)[0] < -ROUNDING:
         raise ValueError("measurement.covariance: has a negative eigenvalue")
@@ -177,24 +218,44 @@ def _refuse_impossible(m: _Measurement, covariance: FloatArray) -> None:
 
 def _certified(folder: Path, dataset_sha256: str) -> tuple[str | None, str | None]:
     """Return serial number and date of the certificate beside a calibration, as far as stated."""
-    parser = etree.XMLParser(resolve_entities=False, no_network=True)
-    try:
-        root = etree.parse(folder / CERTIFICATE, parser).getroot()
-    except (OSError, etree.XMLSyntaxError):
+    if not (folder / CERTIFICATE).exists():
         return None, None
-    serials: Any = root.xpath(_SERIAL, namespaces=_DCC)
-    dated = root.findtext(".//dcc:endPerformanceDate", namespaces=_DCC)
+    try:
+        head = _administrative_data(_whole(folder, CERTIFICATE))
+    except etree.XMLSyntaxError:
+        return None, None
+    if head is None:
+        return None, None
+    serials: Any = head.xpath(_SERIAL, namespaces=_DCC)
+    dated = head.findtext(_PERFORMED, namespaces=_DCC)
     found = str(serials[0]).strip() if serials else None
     # Where no serial number is stated, the certificate identifies the item by its dataset.
     return None if found in (None, "", "not stated", dataset_sha256) else found, dated
 
 
+def _administrative_data(content: bytes) -> etree._Element | None:
+    """Return the part of a certificate that says what it is of; None if there is none."""
+    parser = etree.XMLPullParser(
+        ("end",), tag=_ADMINISTRATIVE, resolve_entities=False, no_network=True
+    )
+    for start in range(0, len(content), CHUNK_BYTES):
+        parser.feed(content[start : start + CHUNK_BYTES])
+        for _, element in parser.read_events():
+            return element if isinstance(element, etree._Element) else None
+    return None
+
+
 def _finished(folder: Path) -> str:
     """Return when a run ended, as run.toml has it; empty where it does not say."""
+    if not (folder / RUN).exists():
+        return ""
+    content = _whole(folder, RUN)
     try:
-        run: dict[str, Any] = tomllib.loads((folder / RUN).read_text(encoding="utf-8"))
+        text = content.decode("utf-8")
+        section = _RUN_SECTION.search(text)
+        run: dict[str, Any] = tomllib.loads(section.group() if section else text)
         return str(run["run"]["finished"])
-    except (OSError, ValueError, KeyError, TypeError):
+    except (ValueError, KeyError, TypeError, RecursionError):
         return ""
 
 

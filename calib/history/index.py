@@ -1,30 +1,32 @@
 """Index of calibrations by rig: a SQLite file made from the folders, which remain the truth.
 
-The index can be deleted and made again at any time. Each folder indexed is one transaction in
-write-ahead logging, so that writers at work together wait for each other and a killed one leaves
-the index as it was.
+The index can be deleted and made again at any time. Each update is one transaction in write-ahead
+logging, so that writers at work together wait for each other and a killed one leaves the index as
+it was. Folders are read before the transaction, which may take long, and looked at once more
+within it, where only those that have changed meanwhile are read again: what is written is how
+the folders were under the lock, whoever else writes.
 """
 
 from __future__ import annotations
 
 import json
-import os
 import sqlite3
 from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from calib.core.errors import InputError, UsageError
-from calib.history.entry import RESULT, Entry, read_entry
+from calib.history.entry import RESULT, Entry
+from calib.history.scan import Seen, refuse_missing, scan
 
 WAIT_S = 60.0
 """For another writer; a transaction of 10,000 calibrations takes a tenth of it."""
 
-LAYOUT = 2
+LAYOUT = 3
 """Version of the tables; an index of another is made anew."""
 
 APPLICATION = 0x43414C49
@@ -36,7 +38,9 @@ CREATE TABLE IF NOT EXISTS calibration (
   dataset TEXT NOT NULL, model TEXT NOT NULL, near_mm REAL NOT NULL, far_mm REAL NOT NULL,
   parameters TEXT NOT NULL, dataset_sha256 TEXT NOT NULL, finished TEXT NOT NULL) WITHOUT ROWID;
 CREATE INDEX IF NOT EXISTS by_rig ON calibration (rig, date);
+CREATE TABLE IF NOT EXISTS stamp (path TEXT PRIMARY KEY, stamp TEXT NOT NULL) WITHOUT ROWID;
 """
+"""`stamp` spares reading files again that are as they were; it says nothing of calibrations."""
 
 
 @dataclass(frozen=True)
@@ -53,6 +57,8 @@ class Indexed:
         Old and new path.
     unreadable
         Path and reason.
+    failed
+        Path and reason of those that must not be used.
     """
 
     calibrations: int
@@ -61,6 +67,7 @@ class Indexed:
     deleted: tuple[str, ...]
     moved: tuple[tuple[str, str], ...]
     unreadable: tuple[tuple[str, str], ...]
+    failed: tuple[tuple[str, str], ...] = ()
 
 
 @contextmanager
@@ -91,57 +98,75 @@ def _prepare(connection: sqlite3.Connection) -> None:
     connection.execute("PRAGMA synchronous=FULL")
 
 
-def calibrations_below(roots: Sequence[Path]) -> list[Path]:
-    """Return the folders with a calibration.json at or below `roots`, sorted, each once."""
-    found: set[Path] = set()
-    for root in roots:
-        if not root.is_dir():
-            raise InputError.single(
-                where=str(root), what="is not a folder", remedy="give folders with finished runs"
-            )
-        for at, folders, files in os.walk(root.resolve()):
-            folders[:] = [name for name in folders if not name.startswith(".")]
-            if RESULT in files:
-                found.add(Path(at))
-    return sorted(found)
-
-
 def update(index: Path, roots: Sequence[Path]) -> Indexed:
     """Bring the index up to what the folders hold, and return what has changed.
 
     Entries of folders outside `roots` are kept, as these may be on a disk that is not mounted,
     unless their calibration has moved into `roots`.
+
+    Raises
+    ------
+    InputError
+        If one of `roots` is not a folder.
     """
-    entries, unreadable = [], []
-    for folder in calibrations_below(roots):
-        try:
-            entries.append(read_entry(folder))
-        except ValueError as error:
-            unreadable.append((str(folder), str(error)))
+    refuse_missing(roots)
     with _opened(index) as connection:
         _refuse_foreign(connection, index)
         _prepare(connection)
+        first = scan(roots, _known(connection))
         connection.execute("BEGIN IMMEDIATE")
-        if connection.execute("PRAGMA user_version").fetchone()[0] != LAYOUT:
-            connection.execute("DROP TABLE IF EXISTS calibration")
-            connection.execute(f"PRAGMA user_version={LAYOUT}")
-        for statement in _TABLE.split(";\n"):
-            connection.execute(statement)
+        _make_tables(connection)
+        # Another writer may have read the folders later than this one did and been faster.
+        known = _known(connection)
+        seen = scan(roots, known | {p: s for p, s in first.items() if s.entry or s.fault})
         before = dict(connection.execute("SELECT path, sha256 FROM calibration"))
-        bad = {path for path, _ in unreadable}
-        gone = _gone(before, roots, entries) | (bad & set(before))
+        entries = [s.entry for s in seen.values() if s.entry is not None]
+        bad = {path for path, s in seen.items() if s.fault}
+        failed = [(p, s.fault) for p, s in seen.items() if s.fault and s.has_failed]
+        unreadable = [(p, s.fault) for p, s in seen.items() if s.fault and not s.has_failed]
+        now = {p: before[p] for p, s in seen.items() if not (s.entry or s.fault)}
+        now |= {e.path: e.sha256 for e in entries}
+        gone = _gone(before, roots, now) | (bad & set(before))
         connection.executemany("DELETE FROM calibration WHERE path=?", [(p,) for p in gone])
+        connection.executemany("DELETE FROM stamp WHERE path=?", [(p,) for p in gone])
         connection.executemany(
             "INSERT OR REPLACE INTO calibration VALUES (?,?,?,?,?,?,?,?,?,?,?)", map(_row, entries)
         )
+        connection.executemany(
+            "INSERT OR REPLACE INTO stamp VALUES (?,?)",
+            [(e.path, seen[e.path].stamp) for e in entries],
+        )
         connection.execute("COMMIT")
-    return _differences(before, entries, gone - bad, unreadable)
+    found = _differences(before, now, gone - bad, unreadable)
+    return replace(found, failed=tuple(failed))
 
 
-def _gone(before: dict[str, str], roots: Sequence[Path], entries: Sequence[Entry]) -> set[str]:
+def _make_tables(connection: sqlite3.Connection) -> None:
+    if not _is_current(connection):
+        connection.execute("DROP TABLE IF EXISTS calibration")
+        connection.execute("DROP TABLE IF EXISTS stamp")
+        connection.execute(f"PRAGMA user_version={LAYOUT}")
+    for statement in _TABLE.split(";\n"):
+        connection.execute(statement)
+
+
+def _is_current(connection: sqlite3.Connection) -> bool:
+    (layout,) = connection.execute("PRAGMA user_version").fetchone()
+    return bool(layout == LAYOUT)
+
+
+def _known(connection: sqlite3.Connection) -> dict[str, Seen]:
+    """Return the folders that are in the index as they were when their stamp was taken."""
+    if not _is_current(connection):
+        return {}
+    rows = connection.execute("SELECT path, stamp FROM stamp JOIN calibration USING (path)")
+    return {path: Seen(stamp, None) for path, stamp in rows}
+
+
+def _gone(before: dict[str, str], roots: Sequence[Path], now: dict[str, str]) -> set[str]:
     """Return the paths whose calibration is no longer there."""
-    tops, here = [root.resolve() for root in roots], {e.sha256 for e in entries}
-    missing = [p for p in before if not (Path(p) / RESULT).is_file()]
+    tops, here = [root.resolve() for root in roots], set(now.values())
+    missing = [p for p in before if p not in now and not (Path(p) / RESULT).is_file()]
     return {p for p in missing if before[p] in here or any(Path(p).is_relative_to(t) for t in tops)}
 
 
@@ -153,19 +178,17 @@ def _row(e: Entry) -> tuple[str | float, ...]:
 
 def _differences(
     before: dict[str, str],
-    entries: Sequence[Entry],
+    now: dict[str, str],
     gone: set[str],
     unreadable: Sequence[tuple[str, str]],
 ) -> Indexed:
-    new = {e.sha256: e.path for e in entries if e.path not in before}
+    new = {now[path]: path for path in now if path not in before}
     moved = {p: new[before[p]] for p in gone if before[p] in new}
     arrived = set(moved.values())
     return Indexed(
-        calibrations=len(entries),
-        added=tuple(
-            sorted(e.path for e in entries if e.path not in before and e.path not in arrived)
-        ),
-        changed=tuple(e.path for e in entries if before.get(e.path, e.sha256) != e.sha256),
+        calibrations=len(now),
+        added=tuple(sorted(p for p in now if p not in before and p not in arrived)),
+        changed=tuple(sorted(p for p, sha256 in now.items() if before.get(p, sha256) != sha256)),
         deleted=tuple(sorted(gone - set(moved))),
         moved=tuple(sorted(moved.items())),
         unreadable=tuple(unreadable),

@@ -9,9 +9,9 @@ from pathlib import Path
 
 from calib.core.errors import CalibError
 from calib.history.charts import charts, reference
+from calib.history.drawing import chart_rows
 from calib.history.drift import drifts
 from calib.history.entry import Entry
-from calib.history.figure import chart_figure
 from calib.history.output import changes_tables
 from calib.history.quantities import series
 from calib.history.read import read_run
@@ -26,7 +26,6 @@ from calib.report.plain_page import (
     State,
     plain_page,
 )
-from calib.report.plotting import svg
 
 GENERATOR = "calib history page"
 
@@ -52,8 +51,7 @@ def rig_page(entries: Sequence[Entry], *, accepted: int, tolerance_mm: float | N
     ]
     blocks.append(PlainTable("Control charts", head, [_states(row) for row in rows]))
     if len(entries) > accepted:
-        figure = chart_figure(series(entries), accepted=accepted)
-        blocks.append(Drawing("Charts", svg(figure).decode("utf-8")))
+        blocks.append(Drawing("Charts", chart_rows(series(entries), accepted=accepted)))
     blocks += _last_change(entries)
     blocks.append(_calibrations(entries))
     return plain_page(f"Rig {entries[0].rig}", blocks, generator=GENERATOR)

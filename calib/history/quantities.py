@@ -13,13 +13,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.core.arrays import FloatArray
-from calib.geometry.misclosure import depth_jacobian
 from calib.geometry.parameters import INDEX, vector
-from calib.geometry.plane import gaze_at
+from calib.geometry.plane import Gaze, drawn_planes, gaze_at
 from calib.history.entry import Entry
 
 DISTANCES = 3
 """Depths charted: the ends and the middle of what the first calibration covers."""
+
+STEP = 1e-3
+"""Of the differences by which depths are differentiated, in standard uncertainties: the error is
+of the order of its square."""
 
 
 @dataclass(frozen=True)
@@ -70,15 +73,46 @@ def _depths(entries: Sequence[Entry]) -> list[Series]:
     z = np.linspace(*entries[0].range_mm, DISTANCES)
     gaze = gaze_at(_theta(entries[0]), np.column_stack([np.zeros((DISTANCES, 2)), z]))
     values, std = np.empty((len(entries), DISTANCES)), np.empty((len(entries), DISTANCES))
+    alike: dict[tuple[str, ...], list[int]] = {}
     for i, e in enumerate(entries):
-        jacobian = depth_jacobian(_theta(e), gaze)
-        slope = jacobian.by_theta[:, [INDEX[n] for n in e.names]]
-        values[i] = jacobian.z
-        std[i] = np.sqrt(np.einsum("ni,ij,nj->n", slope, e.covariance, slope))
+        alike.setdefault(e.names, []).append(i)
+    for places in alike.values():
+        values[places], std[places] = _depths_of([entries[i] for i in places], gaze)
     return [
         Series(f"depth at {at:.0f} mm", "mm", _dates(entries), values[:, k], std[:, k])
         for k, at in enumerate(z)
     ]
+
+
+def _depths_of(entries: Sequence[Entry], gaze: Gaze) -> tuple[FloatArray, FloatArray]:
+    """Return depths of readings and their standard uncertainties, shape (n, q) each.
+
+    Of calibrations with the same free parameters, all together: one by one they would take the
+    most time of a fleet's page.
+    """
+    theta = np.array([_theta(e) for e in entries])
+    covariance = np.array([e.covariance for e in entries])
+    step = STEP * np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+    slope = np.empty((len(entries), len(gaze), step.shape[1]))
+    for k, name in enumerate(entries[0].names):
+        ends = []
+        for sign in (1, -1):
+            moved = theta.copy()
+            moved[:, INDEX[name]] += sign * step[:, k]
+            ends.append(_depths_under(moved, gaze))
+        slope[:, :, k] = (ends[0] - ends[1]) / (2 * step[:, None, k])
+    variance = np.einsum("nqi,nij,nqj->nq", slope, covariance, slope)
+    return _depths_under(theta, gaze), np.sqrt(variance)
+
+
+def _depths_under(theta: FloatArray, gaze: Gaze) -> FloatArray:
+    """Return depths, mm, of q readings under n parameter vectors, shape (n, q)."""
+    planes = drawn_planes(theta)
+    found = []
+    for i in range(len(gaze)):
+        parts = (gaze.x1c, gaze.y1c, gaze.alpha2, gaze.residual)
+        found.append(planes.depth(Gaze(*(np.full(len(theta), part[i]) for part in parts))))
+    return np.stack(found, axis=1)
 
 
 def _theta(e: Entry) -> FloatArray:

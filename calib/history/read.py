@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
+from calib.core.errors import InputError
 from calib.history.drift import Run
-from calib.instrument.calibration_file import read_calibration
+from calib.instrument.calibration_file import read_whole
 from calib.rows.sketch import RowSketch
 from calib.stages.manifest import refuse_broken_folder
 
@@ -22,12 +22,16 @@ def read_run(path: Path, *, allow_edited: bool = False) -> Run:
     InputError
         If there is none, it holds no gaze calibration, or its folder is broken.
     """
-    file = path / RESULT if path.is_dir() else path
-    if path.is_dir() and not allow_edited:
-        refuse_broken_folder(path)
-    measuring = read_calibration(file, allow_edited=allow_edited)
-    # Checked above as far as the instrument goes; the rest is only shown, and may be absent.
-    document: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
+    file = path
+    if path.is_dir():
+        file = path / RESULT
+        if file.exists() and not file.is_file():
+            what, remedy = "is no plain file", "give the folder of a finished run"
+            raise InputError.single(where=str(file), what=what, remedy=remedy)
+        if not allow_edited:
+            refuse_broken_folder(path)
+    # Checked as far as the instrument goes; the rest is only shown, and may be absent.
+    measuring, document = read_whole(file, allow_edited=allow_edited)
     model = str(document["measurement"]["model"])
     posterior = document.get("fits", {}).get(f"{model}/posterior", {})
     decided = {

@@ -83,11 +83,17 @@ def deformed(points: FloatArray, warp_mm: tuple[float, float] | None) -> FloatAr
     """
     if warp_mm is None:
         return points
+    shaped = points.copy()
+    shaped[:, 2] += bow_shapes(points) @ np.array(warp_mm)
+    return shaped
+
+
+def bow_shapes(points: FloatArray) -> FloatArray:
+    """Return how a bow of 1 mm along x and one along y lift board points, mm, shape (n, 2)."""
     low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
     place = (points[:, :2] - low) / (high - low)
-    shaped = points.copy()
-    shaped[:, 2] += (4 * place * (1 - place)) @ np.array(warp_mm)
-    return shaped
+    shapes: FloatArray = 4 * place * (1 - place)
+    return shapes
 
 
 def sum_blocks(blocks: Sequence[Block], size: int) -> Normal:

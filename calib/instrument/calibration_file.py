@@ -14,6 +14,7 @@ from pydantic import ValidationError
 from calib.core.arrays import FloatArray
 from calib.core.errors import InputError
 from calib.core.gate import Gate
+from calib.core.limited import TooLargeError, read_limited
 from calib.core.seal import is_edited
 from calib.geometry.camera import Camera
 from calib.instrument.document import (
@@ -92,7 +93,16 @@ def read_calibration(path: Path, *, allow_edited: bool = False) -> Measuring:
         If the file is none, is damaged, has another format or holds no gaze calibration; if it was
         edited, or lies beside files of another run.
     """
-    return _measuring(_read(path, File, "measurement", allow_edited=allow_edited))
+    return read_whole(path, allow_edited=allow_edited)[0]
+
+
+def read_whole(path: Path, *, allow_edited: bool = False) -> tuple[Measuring, dict[str, Any]]:
+    """Return the instrument of a calibration.json, and the document, of the same bytes.
+
+    The document is checked as far as the instrument goes. See `read_calibration` for errors.
+    """
+    file, document = _read(path, File, "measurement", allow_edited=allow_edited)
+    return _measuring(file), document
 
 
 @dataclass(frozen=True)
@@ -117,7 +127,7 @@ class Cameras:
 
 def read_cameras(path: Path, *, allow_edited: bool = False) -> Cameras:
     """Return the cameras of a calibration.json; see `read_calibration` for errors."""
-    file = _read(path, CameraFile, "intrinsics", allow_edited=allow_edited)
+    file, _ = _read(path, CameraFile, "intrinsics", allow_edited=allow_edited)
     return Cameras(
         cameras={name: camera.camera() for name, camera in sorted(file.intrinsics.items())},
         transform_12=None if file.stereo is None else np.array(file.stereo.transform_12),
@@ -139,9 +149,12 @@ _LACKING = {
 }
 
 
-def _read(path: Path, model: type[_Model], needed: str, *, allow_edited: bool) -> _Model:
-    """Return a calibration.json as far as `model` has it."""
-    text = _text(path)
+def _read(
+    path: Path, model: type[_Model], needed: str, *, allow_edited: bool
+) -> tuple[_Model, dict[str, Any]]:
+    """Return a calibration.json as far as `model` has it, and the whole document."""
+    data = _bytes(path)
+    text = _text(path, data)
     document = _document(path, text)
     found = document.get("format") if isinstance(document, dict) else None
     if type(found) is not int or found != FORMAT:
@@ -156,11 +169,11 @@ def _read(path: Path, model: type[_Model], needed: str, *, allow_edited: bool) -
         raise _bad(
             path, f"{where}: {first['msg']}", "the file is damaged; calibrate again"
         ) from None
-    refuse_broken(path, edited=allow_edited)
+    refuse_broken(path, data, edited=allow_edited)
     if is_edited(document) and not allow_edited:
         remedy = "calibrate again, or use it as it is with --allow-edited"
         raise _bad(path, "was edited after the run that wrote it", remedy)
-    return file
+    return file, document
 
 
 def _failed(gates: Sequence[GateSection]) -> tuple[Gate, ...]:
@@ -230,13 +243,18 @@ def _bad(path: Path, what: str, remedy: str) -> InputError:
 NOT_A_CALIBRATION = "give the calibration.json of a finished run"
 
 
-def _text(path: Path) -> str:
+def _bytes(path: Path) -> bytes:
     try:
-        if path.stat().st_size > FILE_LIMIT_BYTES:
-            raise _bad(path, "is too large to be a calibration", NOT_A_CALIBRATION)
-        return path.read_text(encoding="utf-8")
+        return read_limited(path, FILE_LIMIT_BYTES)
+    except TooLargeError:
+        raise _bad(path, "is too large to be a calibration", NOT_A_CALIBRATION) from None
     except OSError as error:
         raise _bad(path, f"cannot be read ({error.strerror})", NOT_A_CALIBRATION) from None
+
+
+def _text(path: Path, data: bytes) -> str:
+    try:
+        return data.decode("utf-8")
     except ValueError:
         raise _bad(path, "is no text in UTF-8", NOT_A_CALIBRATION) from None
 
@@ -246,6 +264,8 @@ def _document(path: Path, text: str) -> Any:
         return json.loads(text, object_pairs_hook=_each_key_once)
     except (ValueError, RecursionError) as error:
         raise _bad(path, f"is no JSON ({error})", NOT_A_CALIBRATION) from None
+    except MemoryError:
+        raise _bad(path, "takes more memory than there is", NOT_A_CALIBRATION) from None
 
 
 def _each_key_once(pairs: Sequence[tuple[str, Any]]) -> dict[str, Any]:

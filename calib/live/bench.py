@@ -56,12 +56,19 @@ class Places:
 
 @dataclass(frozen=True)
 class Calibrated:
-    """A calibration of this rig, with its file."""
+    """A calibration of this rig, with its file.
+
+    Parameters
+    ----------
+    accepted
+        Whether the user takes it although its gates failed.
+    """
 
     path: Path
     measuring: Measuring
     c1: Camera
     c2: Camera
+    accepted: bool = False
 
     @property
     def aiming(self) -> EpipolarAiming:
@@ -71,20 +78,27 @@ class Calibrated:
     @property
     def gate_failed(self) -> bool:
         """Whether what is measured with it is not simply right."""
-        return bool(self.measuring.failed_gates)
+        return bool(self.measuring.failed_gates) and not self.accepted
 
 
-def read_calibrated(path: Path, rig: RigDevices) -> Calibrated:
+def read_calibrated(
+    path: Path, rig: RigDevices, *, allow_edited: bool = False, accepted: bool = False
+) -> Calibrated:
     """Return the calibration in a file.
+
+    Parameters
+    ----------
+    allow_edited, accepted
+        Whether the user takes one that was edited, or whose gates failed.
 
     Raises
     ------
     InputError
         If it is none of this rig.
     """
-    measuring = read_calibration(path)
+    measuring = read_calibration(path, allow_edited=allow_edited)
     known = lenses(measuring, rig, name=str(path))
-    return Calibrated(path, measuring, known.c1, known.c2)
+    return Calibrated(path, measuring, known.c1, known.c2, accepted)
 
 
 @dataclass
@@ -177,9 +191,11 @@ class Bench:
             settle_s=0.0 if check is None else check.settle_s,
         )
 
-    def use(self, path: Path) -> None:
-        """Take a calibration into use; see `read_calibrated` for errors."""
-        self.calibrated = read_calibrated(path, self.rig)
+    def use(self, path: Path, *, allow_edited: bool = False, accepted: bool = False) -> None:
+        """Take a calibration into use; see `read_calibrated` for parameters and errors."""
+        self.calibrated = read_calibrated(
+            path, self.rig, allow_edited=allow_edited, accepted=accepted
+        )
         measuring = self.calibrated.measuring
         self.record.put(
             calibration={

@@ -48,12 +48,16 @@ class Given:
         File to measure with; None for that of the run, if there is one.
     calib
         How the program is called.
+    allow_edited, accept_failed
+        Whether the user takes a `calibration` that was edited, or whose gates failed.
     """
 
     settings: RigSettings
     places: Places
     calibration: Path | None = None
     calib: Sequence[str] = THIS_PROGRAM
+    allow_edited: bool = False
+    accept_failed: bool = False
 
 
 class Session:
@@ -208,7 +212,11 @@ class Session:
     def _first_calibration(self, bench: Bench) -> None:
         """Take the calibration that was given into use, or else that of the last run."""
         if self._given.calibration is not None:
-            bench.use(self._given.calibration)
+            bench.use(
+                self._given.calibration,
+                allow_edited=self._given.allow_edited,
+                accepted=self._given.accept_failed,
+            )
             return
         path = self._given.places.run / "calibration.json"
         if path.is_file():

@@ -70,7 +70,7 @@ def from_images(dataset: Dataset, store: Store) -> PriorKnowledge:
 
     seed = _seed_of(dataset, store.out)
     with store.locked():
-        claim(store.out, root=dataset.root, sha256=dataset.sha256)
+        claim(store.out, dataset.owner)
         images = image_stages(dataset, store, seed)
         rows = None
         if dataset.gaze is not None:

@@ -41,10 +41,10 @@ class PlainTable:
 
 @dataclass(frozen=True)
 class Drawing:
-    """A figure as SVG."""
+    """Figures as SVG elements, a row beside each other as far as the page is wide."""
 
     title: str
-    svg: str
+    rows: Sequence[Sequence[str]]
 
 
 @dataclass(frozen=True)
@@ -63,11 +63,17 @@ body { font: 15px/1.45 "DejaVu Sans", sans-serif; margin: 2em auto; max-width: 7
   padding: 0 1em; }
 h2 { font-size: 1.05em; margin-bottom: 0; }
 .wide { overflow-x: auto; margin: .6em 0 1.6em; }
-table { border-collapse: collapse; }
+table { border-collapse: collapse; width: max-content; max-width: max(100%, 58em); }
 th, td { padding: .2em .8em .2em 0; text-align: left; vertical-align: top;
   border-bottom: 1px solid var(--line); }
 .bad { color: var(--bad); font-weight: bold; } .good { color: var(--good); }
 svg { max-width: 100%; height: auto; background: #fff; }
+.drawn { display: grid; grid-template-columns: repeat(auto-fit, minmax(min(100%, 19em), 1fr));
+  gap: .3em; margin: .3em 0; break-inside: avoid; }
+.drawn svg { width: 100%; border-radius: 4px; }
+@media print { body { font-size: 11px; margin: 0; } table { width: 100%; max-width: 100%; }
+  .wide { overflow: visible; } .drawn { grid-template-columns: repeat(3, 1fr); }
+  tr { break-inside: avoid; } }
 """
 
 
@@ -93,8 +99,9 @@ def _block(block: Block) -> str:
     match block:
         case Paragraph(text):
             return f"<p>{escape(text)}</p>"
-        case Drawing(title, svg):
-            return f"<h2>{escape(title)}</h2>\n{svg[svg.index('<svg') :]}"
+        case Drawing(title, rows):
+            drawn = "\n".join(f'<div class="drawn">{"".join(row)}</div>' for row in rows)
+            return f"<h2>{escape(title)}</h2>\n{drawn}"
         case PlainTable(title, head, rows):
             lines = [_line(head, "th", len(head)), *(_line(row, "td", len(head)) for row in rows)]
             heading = f"<h2>{escape(title)}</h2>\n" if title else ""

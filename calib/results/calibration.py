@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from calib.core.arrays import FloatArray
 from calib.core.gate import Gate
 from calib.core.seal import with_digest
 from calib.core.version import __version__
@@ -24,10 +25,12 @@ from calib.fit.linear import LinearFit
 from calib.fit.posterior import Posterior
 from calib.fit.robust import RobustFit
 from calib.geometry.camera import Camera
+from calib.images.adjustment.result import Adjustment
 from calib.images.result import ImageResult
 from calib.instrument.averaging import ModelAverage
 from calib.instrument.calibrated import CalibratedInstrument, DepthTable, ValidationResult
 from calib.instrument.calibration_file import FORMAT
+from calib.results.adjustment_document import adjustment_fits, adjustment_section
 from calib.results.average_document import average_depths, average_document
 from calib.results.diagnosis_document import correction_document, diagnosis_document
 from calib.results.fits_document import (
@@ -116,6 +119,8 @@ class Calibration:
         Of all random numbers.
     cameras
         Given ones, by "c1" and "c2".
+    camera_covariances
+        What is uncertain of their intrinsics, px and 1, shape (4 + k, 4 + k) each.
     images
         What the images gave.
     gaze
@@ -124,6 +129,10 @@ class Calibration:
         What must hold before the result may be used.
     warnings
         What the reader should know and no gate covers.
+    adjustment
+        All pictures in one least squares; None where there are none that tell the rig.
+    not_adjusted
+        Why there are pictures and yet no adjustment.
     rows
         Of the gaze rows, by which runs see whether they share some.
     disagreements
@@ -136,10 +145,13 @@ class Calibration:
     sha256: str
     seed: int
     cameras: Mapping[str, Camera]
+    camera_covariances: Mapping[str, FloatArray]
     images: ImageResult
     gaze: GazeResult | None
     gates: tuple[Gate, ...]
     warnings: tuple[str, ...]
+    adjustment: Adjustment | None = None
+    not_adjusted: str | None = None
     rows: RowSketch | None = None
     rig: Rig = field(default_factory=Rig)
     disagreements: tuple[str, ...] = ()
@@ -169,9 +181,18 @@ def _document(c: Calibration) -> dict[str, Any]:
         "rig": c.rig.model_dump(exclude_none=True),
         "seed": c.seed,
     }
-    document |= images_document(c.cameras, c.images)
+    document |= images_document(c.cameras, c.camera_covariances, c.images)
     if c.gaze is not None:
         document |= _gaze(c.gaze)
+    if c.adjustment is not None:
+        rows = None if c.gaze is None else c.gaze.rows
+        document["fits"] = document.get("fits", {}) | adjustment_fits(c.adjustment, rows)
+        document["adjustment"] = adjustment_section(c.adjustment)
+        refused = {f"{name}/adjustment": why for name, why in c.adjustment.contradicted.items()}
+        document["not_fitted"] = document.get("not_fitted", {}) | refused
+    if c.not_adjusted is not None:
+        refused = {"adjustment": c.not_adjusted}
+        document["not_fitted"] = document.get("not_fitted", {}) | refused
     document["gates"] = [vars(gate) for gate in c.gates]
     document["warnings"] = [*c.disagreements, *c.warnings]
     return with_digest(_clean(document))

@@ -13,6 +13,7 @@ def diagnosis_document(found: Diagnosis) -> list[dict[str, Any]]:
         {
             "cause": cause.name,
             "at": cause.at,
+            "seen_in": cause.seen_in,
             "estimate": cause.estimate,
             "std": cause.std,
             "unit": cause.hypothesis.unit,

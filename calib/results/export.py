@@ -122,6 +122,12 @@ FORMATS: Mapping[str, Callable[[Cameras], dict[str, str]]] = MappingProxyType(
 )
 
 
+def marked(text: str, comment: str) -> str:
+    """Return a file with a line of comment; OpenCV's YAML has a directive and `---` before it."""
+    head, line, rest = text.partition("---\n") if text.startswith("%YAML") else ("", "", text)
+    return f"{head}{line}{comment}\n{rest}"
+
+
 def _lens(camera: Camera, name: str, known: tuple[int, ...], tool: str) -> FloatArray:
     """Return the distortion, if the tool knows a model with as many coefficients."""
     count = len(camera.distortion)

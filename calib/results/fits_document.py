@@ -15,7 +15,8 @@ from calib.fit.robust import RobustFit
 from calib.geometry.parameters import ECCENTRICITY
 
 
-def _estimate(names: Sequence[str], values: FloatArray, covariance: FloatArray) -> dict[str, Any]:
+def estimate(names: Sequence[str], values: FloatArray, covariance: FloatArray) -> dict[str, Any]:
+    """Return values with their covariance."""
     std = np.sqrt(np.diag(covariance))
     pairs = zip(names, values, std, strict=True)
     return {
@@ -27,7 +28,7 @@ def _estimate(names: Sequence[str], values: FloatArray, covariance: FloatArray) 
 
 def linear_document(fit: LinearFit) -> dict[str, Any]:
     """Return the paper's linear calibration."""
-    return _estimate(fit.names, fit.values, fit.covariance) | {
+    return estimate(fit.names, fit.values, fit.covariance) | {
         "residual_mrad": fit.residual_mrad,
         "sigma_mrad": fit.sigma_mrad,
         "outliers": [],
@@ -42,7 +43,7 @@ def linear_document(fit: LinearFit) -> dict[str, Any]:
 
 def convex_document(fit: ConvexFit) -> dict[str, Any]:
     """Return the convex fit, with what its solver says."""
-    return _estimate(fit.names, fit.values, fit.covariance) | {
+    return estimate(fit.names, fit.values, fit.covariance) | {
         "residual_mrad": fit.residual_mrad,
         "sigma_mrad": fit.sigma_mrad,
         "outliers": list(fit.outliers),
@@ -87,29 +88,30 @@ def effective_interval(names: Sequence[str], draws: FloatArray) -> tuple[float, 
     return float(low), float(high)
 
 
-def _derived(
+def derived(
     names: Sequence[str],
     values: FloatArray,
     covariance: FloatArray,
     draws: FloatArray | None = None,
 ) -> dict[str, Any]:
+    """Return what follows from the parameters: L_b + e, where both are free."""
     found = effective_baseline(names, values, covariance)
     if found is None:
         return {}
-    estimate = {"value": found[0], "std": found[1]}
+    total = {"value": found[0], "std": found[1]}
     if draws is not None and (ends := effective_interval(names, draws)) is not None:
-        estimate |= {"q2.5": ends[0], "q97.5": ends[1]}
-    return {"derived": {"effective_baseline_mm": estimate}}
+        total |= {"q2.5": ends[0], "q97.5": ends[1]}
+    return {"derived": {"effective_baseline_mm": total}}
 
 
 def robust_document(fit: RobustFit) -> dict[str, Any]:
     """Return a model's robust fit."""
-    document = _estimate(fit.names, fit.values, fit.covariance)
+    document = estimate(fit.names, fit.values, fit.covariance)
     for name, who, share in zip(fit.names, fit.identified_by, fit.data_share, strict=True):
         document["parameters"][name] |= {"identified_by": who, "std_over_data_only_std": share}
     return (
         document
-        | _derived(fit.names, fit.values, fit.covariance)
+        | derived(fit.names, fit.values, fit.covariance)
         | {
             "residual_mrad": fit.residual_mrad,
             "sigma_mrad": fit.sigma_mrad,
@@ -126,7 +128,7 @@ def robust_document(fit: RobustFit) -> dict[str, Any]:
 
 def posterior_document(p: Posterior) -> dict[str, Any]:
     """Return a model's posterior, with what tells whether to believe it."""
-    document = _estimate(p.names, p.mean, p.covariance)
+    document = estimate(p.names, p.mean, p.covariance)
     identified = (*p.identified_by, "both")
     for i, name in enumerate(p.names):
         low, middle, high = p.quantiles[i]
@@ -142,7 +144,7 @@ def posterior_document(p: Posterior) -> dict[str, Any]:
     free = slice(0, len(p.names) - 1)
     return (
         document
-        | _derived(p.names[:-1], p.mean[free], p.covariance[free, free], p.flat)
+        | derived(p.names[:-1], p.mean[free], p.covariance[free, free], p.flat)
         | {
             "converged": p.converged,
             "tau": dict(zip(p.names, p.tau, strict=True)),

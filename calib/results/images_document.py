@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from calib.core.arrays import FloatArray
 from calib.geometry.board import LensFit
 from calib.geometry.camera import Camera
 from calib.images.intrinsics.calibrate import Intrinsics
@@ -15,10 +16,18 @@ from calib.images.stereo.reference import StereoReference
 from calib.images.sweep.yaw_axis import SweepResult
 
 
-def images_document(cameras: Mapping[str, Camera], images: ImageResult) -> dict[str, Any]:
-    """Return the parts that the images gave, and given cameras; absent where there are none."""
+def images_document(
+    cameras: Mapping[str, Camera], covariances: Mapping[str, FloatArray], images: ImageResult
+) -> dict[str, Any]:
+    """Return the parts that the images gave, and given cameras; absent where there are none.
+
+    Parameters
+    ----------
+    cameras, covariances
+        Given ones, and what is uncertain of their intrinsics, shape (4 + k, 4 + k).
+    """
     document: dict[str, Any] = {}
-    intrinsics = {name: _given(camera) for name, camera in cameras.items()}
+    intrinsics = {name: _given(camera, covariances[name]) for name, camera in cameras.items()}
     intrinsics |= {name: _intrinsics(found) for name, found in images.intrinsics.items()}
     if intrinsics:
         document["intrinsics"] = intrinsics
@@ -29,10 +38,13 @@ def images_document(cameras: Mapping[str, Camera], images: ImageResult) -> dict[
     return document
 
 
-def _given(camera: Camera) -> dict[str, Any]:
+def _given(camera: Camera, covariance: FloatArray) -> dict[str, Any]:
     count = len(camera.distortion)
     lens = f"OPENCV{count}" if count else "PINHOLE"
-    return {"source": "given", "lens_model": lens} | _camera(camera)
+    document = {"source": "given", "lens_model": lens} | _camera(camera)
+    if covariance.any():
+        document |= {"std": np.sqrt(np.diag(covariance)), "covariance": covariance}
+    return document
 
 
 def _camera(camera: Camera) -> dict[str, Any]:

@@ -164,7 +164,7 @@ class Derived(Estimate):
 
 
 class Fit(Part):
-    """A fit; NAME/linear, NAME/convex, NAME/robust or NAME/posterior."""
+    """A fit; NAME/linear, NAME/convex, NAME/robust, NAME/posterior or NAME/adjustment."""
 
     parameters: Annotated[dict[str, Parameter], Field(description=_UNITS)]
     names: list[str] = Field(description="order of the covariance")
@@ -182,6 +182,50 @@ class Fit(Part):
     importance: dict[str, Any] | None = Field(
         None, description="the same moments by importance sampling, and whether they agree"
     )
+
+
+class AdjustedCamera(Part):
+    """A camera by the adjustment; without uncertainty if it was given."""
+
+    matrix: Matrix
+    distortion: Vector
+    image_size: list[int]
+    std: Vector | None = Field(None, description="fx, fy, cx, cy, distortion")
+    covariance: Matrix | None = None
+
+
+class AdjustedStereo(Part):
+    """Pose of C2 in C1 at a reading, by the adjustment."""
+
+    alpha2_deg: float
+    transform_12: Matrix
+    covariance: Matrix = Field(description="of rotation vector and translation")
+    baseline_mm: float = Field(description="distance of the cameras' centres")
+    baseline_std_mm: float
+
+
+class AdjustedReadings(Part):
+    """Errors of the encoder's readings."""
+
+    count: int
+    stated_std_rad: float
+    std_rad: float = Field(description="as the pictures show it")
+
+
+class AdjustmentPart(Part):
+    """All pictures in one least squares: lenses, board, rig, encoder and readings."""
+
+    model: str = Field(description="of record; `complete` has every parameter free")
+    passed: bool
+    intrinsics: dict[Literal["c1", "c2"], AdjustedCamera]
+    stereo: AdjustedStereo
+    pictures: dict[str, int] = Field(description="how many, by camera and purpose")
+    left_out: list[str] = Field(description="pictures that contradict the others")
+    rejected_points: int
+    rms_px: float
+    sigma_px: dict[str, float] = Field(description="of a corner, by camera and purpose")
+    readings: AdjustedReadings
+    gates: list[GatePart]
 
 
 class Score(Part):
@@ -311,10 +355,13 @@ class ValidationRow(Part):
 
 
 class CausePart(Part):
-    """A mistake that the rows show."""
+    """A mistake that calibration rows or independent references show."""
 
     cause: str = Field(description="name of a hypothesis")
     at: str | None = Field(None, description="row, rows or group where it struck")
+    seen_in: Literal["rows", "references"] = Field(
+        "rows", description="whether calibration rows or independent references show it"
+    )
     estimate: float | None = None
     std: float | None = None
     unit: str
@@ -377,6 +424,7 @@ class Document(Part):
     stereo: StereoPart | None = None
     sweep: SweepPart | None = None
     fits: dict[str, Fit] | None = None
+    adjustment: AdjustmentPart | None = None
     identifiability: dict[str, dict[str, Any]] | None = None
     comparison: list[Score] | None = None
     selected: str | None = None

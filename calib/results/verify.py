@@ -51,18 +51,17 @@ def verify(folder: Path) -> Verified:
         return Verified(tuple(problems), (), 0)
     names = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))["files"]
     lines = []
-    if CALIBRATION in names:
-        data = (folder / CALIBRATION).read_bytes()
-        digest = sha256(data).hexdigest()
-        lines.append(f"{CALIBRATION}: SHA-256 {digest}")
-        if is_edited(json.loads(data)):
-            problems.append(Problem(str(folder / CALIBRATION), "was edited", AGAIN))
-        for name in STATING:
-            if name not in names:
-                continue
-            if digest not in (folder / name).read_text(encoding="utf-8"):
-                what = f"does not certify the {CALIBRATION} beside it"
-                problems.append(Problem(str(folder / name), what, AGAIN))
-            else:
-                lines.append(f"{name}: certifies this {CALIBRATION}")
+    data = (folder / CALIBRATION).read_bytes()
+    digest = sha256(data).hexdigest()
+    lines.append(f"{CALIBRATION}: SHA-256 {digest}")
+    if is_edited(json.loads(data)):
+        problems.append(Problem(str(folder / CALIBRATION), "was edited", AGAIN))
+    for name in STATING:
+        if name not in names:
+            continue
+        if digest not in (folder / name).read_text(encoding="utf-8"):
+            what = f"does not certify the {CALIBRATION} beside it"
+            problems.append(Problem(str(folder / name), what, AGAIN))
+        else:
+            lines.append(f"{name}: certifies this {CALIBRATION}")
     return Verified(tuple(problems), tuple(lines), len(names))

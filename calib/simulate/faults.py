@@ -59,12 +59,15 @@ class Fault:
         Makes the mistake.
     everywhere
         Whether validation rows have it too, as the rig itself has it.
+    left
+        What is left of it in validation rows, which are taken after the calibration rows.
     """
 
     value: float
     unit: str
     spoil: Spoil
     everywhere: bool = False
+    left: Spoil | None = None
 
 
 def _shift(rows: Observations, by_rad: FloatArray) -> Observations:
@@ -85,6 +88,10 @@ def _step(rows: Observations, value: float, _: Context) -> Observations:
 
 def _drift(rows: Observations, value: float, _: Context) -> Observations:
     return _shift(rows, value * DEG * _place(rows) / max(len(rows) - 1, 1))
+
+
+def _at_the_end(rows: Observations, value: float, _: Context) -> Observations:
+    return _shift(rows, np.full(len(rows), value * DEG))
 
 
 def _rehomed(rows: Observations, value: float, _: Context) -> Observations:
@@ -157,8 +164,8 @@ FAULTS: Mapping[str, Fault] = MappingProxyType(
         ),
         "reference-bias-near": Fault(20.0, "mm", _near),
         "reference-bias-far": Fault(3.0, "%", _far),
-        "reading-step": Fault(0.25, "deg", _step),
-        "reading-drift": Fault(0.25, "deg", _drift),
+        "reading-step": Fault(0.25, "deg", _step, left=_at_the_end),
+        "reading-drift": Fault(0.25, "deg", _drift, left=_at_the_end),
         "backlash": Fault(0.3, "deg", _backlash),
         "microstep": Fault(0.1, "deg", _microstep, everywhere=True),
         "encoder-twice-per-turn": Fault(0.3, "deg", _twice, everywhere=True),
@@ -214,6 +221,7 @@ def spoil(
     """
     for name, value in faults.items():
         fault = FAULTS[name]
-        if fault.everywhere or not validation:
-            rows = fault.spoil(rows, size_of(name, value), context)
+        made = fault.spoil if fault.everywhere or not validation else fault.left
+        if made is not None:
+            rows = made(rows, size_of(name, value), context)
     return rows

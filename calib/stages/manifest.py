@@ -1,19 +1,22 @@
 """The manifest of a run's outputs: digests written last and read first.
 
 While outputs are written the manifest says that they are not complete; so a kill or a full disk at
-any moment leaves a set of files that is known to be broken, never one that passes for a run. A copy
-of one file elsewhere has no manifest, and is taken by itself.
+any moment leaves a set of files that is known to be broken, never one that passes for a run. A file
+under the name of an output that the manifest does not list belongs to no run. A copy of one file
+elsewhere has no manifest, and is taken by itself.
 """
 
 from __future__ import annotations
 
 import json
+import stat
 from collections.abc import Iterable, Mapping
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
 from calib.core.errors import InputError, Problem, UsageError
+from calib.core.limited import read_limited
 from calib.core.mrcal_python import mrcal_identity
 from calib.stages.fingerprint import digest, whole_code
 from calib.stages.provenance import direct_packages
@@ -25,6 +28,16 @@ FORMER = Path(CACHE) / "outputs.json"
 
 FORMAT = 1
 LIMIT_BYTES = 1_000_000
+
+ALWAYS = ("calibration.json", "results.h5", "report.html", "run.toml")
+"""What every run writes."""
+
+SOMETIMES = (
+    "certificate.html", "certificate.pdf", "certificate.xml", "corners.vnl",
+    "c1.yaml", "c2.yaml", "c1.cameramodel", "c2.cameramodel",
+)  # fmt: skip
+"""What a run writes if its dataset allows."""
+
 AGAIN = "run calib calibrate again"
 
 
@@ -44,10 +57,16 @@ def begin_outputs(out: Path, names: Iterable[str]) -> None:
     Raises
     ------
     UsageError
-        If one of them is there and is no file of an earlier run.
+        If one of them is there and is no file of an earlier run, or another would pass for one.
     """
     document = _document(out / MANIFEST)
-    known = {str(name) for name in _files(document)}
+    known, names = {str(name) for name in _files(document)}, tuple(names)
+    for name in SOMETIMES:
+        if (out / name).exists() and name not in known and name not in names:
+            raise UsageError(
+                f"{out / name}: would pass for an output of this run; move it, or choose another "
+                "--out"
+            )
     for name in names:
         path = out / name
         if path.is_symlink() or (path.exists() and not path.is_file()):
@@ -81,14 +100,15 @@ def finished_before(out: Path, fingerprint: str) -> bool:
 def faults(out: Path) -> tuple[Problem, ...]:
     """Return what is wrong with the outputs in the folder of a run; nothing if they are whole."""
     document = _document(out / MANIFEST)
-    if document is None:
-        what = "is missing or damaged: the run that wrote this folder did not finish"
-        return (Problem(str(out / MANIFEST), what, AGAIN),)
-    if document.get("complete") is not True:
-        what = "the run that wrote this folder did not finish: its files may be of two runs"
-        return (Problem(str(out), what, AGAIN),)
-    found = []
-    for name, wanted in _files(document).items():
+    unfinished = _unfinished(out, document)
+    if document is None or unfinished is not None:
+        return () if unfinished is None else (unfinished,)
+    files, found = _files(document), []
+    for name in (*ALWAYS, *SOMETIMES):
+        if name not in files and (name in ALWAYS or (out / name).exists()):
+            what = f"is not listed in {MANIFEST}: it is of no run, or the manifest was edited"
+            found.append(Problem(str(out / name), what, AGAIN))
+    for name, wanted in files.items():
         try:
             if _digest(out / name) != wanted:
                 what = "is not what the run wrote (its SHA-256 differs from that in the manifest)"
@@ -99,13 +119,31 @@ def faults(out: Path) -> tuple[Problem, ...]:
     return tuple(found)
 
 
-def refuse_broken(file: Path, *, edited: bool = False) -> None:
+def _unfinished(out: Path, document: Mapping[str, Any] | None) -> Problem | None:
+    """Return what is wrong with a manifest itself."""
+    if document is None:
+        what = "is missing or damaged: the run that wrote this folder did not finish"
+        return Problem(str(out / MANIFEST), what, AGAIN)
+    if type(document.get("format")) is not int or document["format"] != FORMAT:
+        what = f"format {document.get('format')!r} is not known"
+        return Problem(str(out / MANIFEST), what, f"format {FORMAT} is; {AGAIN}")
+    if document.get("complete") is not True:
+        what = "the run that wrote this folder did not finish: its files may be of two runs"
+        return Problem(str(out), what, AGAIN)
+    return None
+
+
+def refuse_broken(file: Path, content: bytes, *, edited: bool = False) -> None:
     """Raise if a file lies in the folder of a run that is not whole, or is not the run's.
+
+    A link is followed: the folder that its target lies in counts, too.
 
     Parameters
     ----------
     file
-        A calibration that is about to be used; one that lies elsewhere is not looked into.
+        An output that is about to be used; one that lies elsewhere is not looked into.
+    content
+        Its bytes, as they are about to be used.
     edited
         Whether the user wants the file although it was edited.
 
@@ -114,14 +152,21 @@ def refuse_broken(file: Path, *, edited: bool = False) -> None:
     InputError
         Naming it, with the remedy.
     """
+    for place in dict.fromkeys((file, file.resolve())):
+        _refuse_broken(place, content, edited=edited)
+
+
+def _refuse_broken(file: Path, content: bytes, *, edited: bool) -> None:
     folder = file.parent
-    if not _is_run(folder):
+    if not is_run(folder):
         return
     document = _document(folder / MANIFEST)
-    if document is None or document.get("complete") is not True:
-        raise InputError(faults(folder)[:1])
-    wanted = _files(document).get(file.name)
-    if wanted is not None and not edited and _digest(file) != wanted:
+    if (unfinished := _unfinished(folder, document)) is not None:
+        raise InputError((unfinished,))
+    files = _files(document)
+    if file.name not in (*ALWAYS, *SOMETIMES, *files) or edited:
+        return
+    if files.get(file.name) != sha256(content).hexdigest():
         raise InputError.single(
             where=str(file),
             what="is not what the run wrote: it was edited, or is of another run than the "
@@ -138,11 +183,11 @@ def refuse_broken_folder(folder: Path) -> None:
     InputError
         Naming each file.
     """
-    if _is_run(folder) and (found := faults(folder)):
+    if is_run(folder) and (found := faults(folder)):
         raise InputError(found)
 
 
-def _is_run(folder: Path) -> bool:
+def is_run(folder: Path) -> bool:
     """Return whether a folder is that of a run that has a manifest, or should have one."""
     if (folder / MANIFEST).exists():
         return True
@@ -159,15 +204,15 @@ def _files(document: Mapping[str, Any] | None) -> dict[str, Any]:
 def _document(path: Path) -> dict[str, Any] | None:
     """Return a JSON object; None if there is none that can be read."""
     try:
-        if path.stat().st_size > LIMIT_BYTES:
-            return None
-        document = json.loads(path.read_text(encoding="utf-8"))
+        document = json.loads(read_limited(path, LIMIT_BYTES, regular=True).decode("utf-8"))
     except (OSError, ValueError, RecursionError):
         return None
     return document if isinstance(document, dict) else None
 
 
 def _digest(path: Path) -> str:
+    if not stat.S_ISREG(path.stat().st_mode):
+        raise OSError("it is no plain file")
     with path.open("rb") as file:
         found = sha256()
         while chunk := file.read(1 << 20):

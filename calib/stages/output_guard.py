@@ -8,8 +8,9 @@ A symbolic link is followed first: its target must pass, and is what gets writte
 from __future__ import annotations
 
 import stat
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from fnmatch import fnmatchcase
 from pathlib import Path
 
 from calib.core.errors import UsageError
@@ -30,27 +31,58 @@ class OutputKind:
     is_folder
         Whether it is a folder of files.
     marks
-        Of a file: byte strings one of which its first `HEAD_BYTES` hold. Of a folder: names one of
-        which it holds.
+        Of a file: byte strings one of which its first `HEAD_BYTES` hold.
+    files
+        Of a folder: patterns of names that are written, each with the marks of such a file; one
+        without marks goes by its name. A folder is its own if it holds one of them. The first
+        pattern that fits a name counts.
+    hidden
+        Of a folder: names that do not make it that of somebody else.
     is_dataset
         Whether it is a dataset that is added to, and so may be one already.
+    is_new
+        Whether it is made anew, where nothing lies but an empty folder.
     """
 
     is_folder: bool
-    marks: tuple[bytes, ...] | tuple[str, ...] = ()
+    marks: tuple[bytes, ...] = ()
+    files: tuple[tuple[str, tuple[bytes, ...]], ...] = ()
+    hidden: tuple[str, ...] = ()
     is_dataset: bool = False
+    is_new: bool = False
 
     def wrote(self, path: Path) -> bool:
         """Return whether what lies at `path` was written by the same command."""
-        if self.is_folder:
-            return not any(path.iterdir()) or any((path / str(m)).exists() for m in self.marks)
-        with path.open("rb") as file:
-            head = file.read(HEAD_BYTES)
-        return not head or any(bytes(m) in head for m in self.marks if isinstance(m, bytes))
+        if not self.is_folder:
+            return _is_marked(path, self.marks)
+        if all(entry.name in self.hidden for entry in path.iterdir()):
+            return True
+        found = ((at, marks) for pattern, marks in self.files for at in path.glob(pattern))
+        return any(at.is_file() and _is_marked(at, marks, empty=False) for at, marks in found)
+
+    def file(self, name: str) -> OutputKind:
+        """Return the kind of a folder's file of that name."""
+        marks = next((marks for pattern, marks in self.files if fnmatchcase(name, pattern)), ())
+        return OutputKind(is_folder=False, marks=marks)
 
 
-RUN_FOLDER = OutputKind(is_folder=True, marks=(".stages",))
-NEW_FOLDER = OutputKind(is_folder=True)
+def _is_marked(path: Path, marks: Sequence[bytes], *, empty: bool = True) -> bool:
+    """Return whether a file holds one of the marks, or nothing to lose."""
+    with path.open("rb") as file:
+        head = file.read(HEAD_BYTES)
+    return (empty and not head) or not (marks or empty) or any(mark in head for mark in marks)
+
+
+RUN_FOLDER = OutputKind(
+    is_folder=True,
+    files=(
+        (".stages/dataset.json", (b'"from_here": ',)),
+        (".stages/outputs.json", ()),
+        ("manifest.json", (b'"complete": ',)),
+    ),
+    hidden=(".stages", ".lock"),
+)
+NEW_FOLDER = OutputKind(is_folder=True, is_new=True)
 
 
 def guarded(
@@ -102,10 +134,35 @@ def guarded(
             raise refuse("is a dataset", "results go into a folder of their own: " + elsewhere)
         if not (force or kind.wrote(real)):
             what = "a folder with files of" if kind.is_folder else "a file of"
-            raise refuse(f"is {what} another origin", elsewhere + ", or agree with --force")
+            agree = "" if kind.is_new else ", or agree with --force"
+            raise refuse(f"is {what} another origin", elsewhere + agree)
     except OSError as error:
         raise refuse(f"cannot be looked at ({error.strerror or error})", elsewhere) from None
     return real
+
+
+def files_of(
+    folder: Path, names: Iterable[str], kind: OutputKind, *, option: str, force: bool = False
+) -> dict[str, Path]:
+    """Return the real paths of the files that are about to be written into a folder, by name.
+
+    Parameters
+    ----------
+    folder
+        As `guarded` returned it.
+    kind
+        Of the folder.
+    force
+        Whether the user agreed to lose files that another tool wrote.
+
+    Raises
+    ------
+    UsageError
+        If one of them is there and was not written by the same command.
+    """
+    return {
+        name: guarded(folder / name, kind.file(name), option=option, force=force) for name in names
+    }
 
 
 def _refuse_inputs(

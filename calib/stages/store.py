@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import fcntl
 import os
+import re
 import secrets
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -35,6 +36,39 @@ T = TypeVar("T")
 CACHE = ".stages"
 LOCK = ".lock"
 PARTIAL = ".part"
+
+IN_USE = "another run is writing there"
+"""Says why a folder is refused that is locked."""
+
+
+_TEMPORARY = re.compile(r"\..+\.[0-9a-f]{16}\.part", re.DOTALL)
+"""What `atomic_write` calls a file that is not whole yet."""
+
+
+def clear_partial(folder: Path) -> None:
+    """Delete from a folder what programs that were killed left half-written."""
+    for left in folder.glob(f".*{PARTIAL}"):
+        if _TEMPORARY.fullmatch(left.name):
+            left.unlink(missing_ok=True)
+
+
+@contextmanager
+def opened_lock(path: Path) -> Iterator[int]:
+    """Open a lock file, which is made if it is not there; nothing in it is changed.
+
+    Raises
+    ------
+    UsageError
+        If it cannot be opened, or a link lies in its place.
+    """
+    try:
+        handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o666)
+    except OSError as error:
+        raise _cannot_write(path, error) from error
+    try:
+        yield handle
+    finally:
+        os.close(handle)
 
 
 @contextmanager
@@ -88,6 +122,18 @@ def write_bytes(path: Path, content: bytes) -> None:
         temporary.write_bytes(content)
 
 
+def is_in_use(out: Path) -> bool:
+    """Return whether a run is writing into a folder now."""
+    try:
+        with (out / LOCK).open("r") as handle:
+            fcntl.flock(handle, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    except OSError:
+        return False
+    return False
+
+
 @dataclass
 class Store:
     """The folder of one run's results.
@@ -123,16 +169,12 @@ class Store:
         UsageError
             If another run holds it.
         """
-        try:
-            handle = (self.out / LOCK).open("w")
-        except OSError as error:
-            raise _cannot_write(self.out / LOCK, error) from error
-        with handle:
+        with opened_lock(self.out / LOCK) as handle:
             try:
                 fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except OSError:
                 raise UsageError(
-                    f"{self.out}: another run is writing there; wait for it or choose another --out"
+                    f"{self.out}: {IN_USE}; wait for it or choose another --out"
                 ) from None
             self._clear_away()
             yield
@@ -140,8 +182,7 @@ class Store:
     def _clear_away(self) -> None:
         """Delete what runs that were killed left half-written."""
         for folder in (self.out, self.out / CACHE):
-            for left in folder.glob(f".*{PARTIAL}"):
-                left.unlink(missing_ok=True)
+            clear_partial(folder)
 
     def run_parallel(self, steps: Mapping[str, Step[T]]) -> dict[str, Staged[T]]:
         """Return the outcomes of stages that do not need each other, by the keys of `steps`.

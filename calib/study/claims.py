@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.study.conditions import ADVICE, CONDITIONS, GROUPS
+from calib.study.conditions import ADVICE, CONDITIONS, GROUPS, MISTAKES
 from calib.study.scores import RASH, Score
 
 INFINITY = float("inf")
@@ -111,6 +111,13 @@ CLAIMS: tuple[Claim, ...] = (
           "share_clear", 0.95),
     Claim("advised targets leave u(z) at least 25 % below random ones",
           (ADVICE,), ("depth asked",), (), "u_ratio", -INFINITY, 0.75),
+    Claim("a mistake is named on at most 1 % of rigs without one",
+          (MISTAKES,), ("clean rigs",), (), "false_names", -INFINITY, 0.01),
+    Claim("mistakes that move a depth by over 2 u and of which the rows have evidence are named, "
+          "or are among those named, in 90 %",
+          (MISTAKES,), (), (), "named_in_evidence", 0.90),
+    Claim("another mistake alone is named in place of them in at most 5 %",
+          (MISTAKES,), (), (), "wrong_name", -INFINITY, 0.05),
 )
 # fmt: on
 

@@ -118,12 +118,15 @@ CONDITIONS: Mapping[str, Condition] = MappingProxyType(
 ADVICE = "advice"
 """Name of the trials that compare advised with random targets; see `calib.study.advice`."""
 
+MISTAKES = "faults"
+"""Name of the trials of what labs do wrong; see `calib.study.faults`."""
+
 GROUPS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
         "default": tuple(c.name for c in _grid()),
         "ranks": tuple(c.name for c in _ranked()),
         "broken": tuple(c.name for c in _BROKEN),
-        "all": (*CONDITIONS, ADVICE),
+        "all": (*CONDITIONS, ADVICE, MISTAKES),
     }
 )
 
@@ -138,8 +141,8 @@ def chosen(names: tuple[str, ...]) -> tuple[str, ...]:
     """
     found: dict[str, None] = {}
     for name in names:
-        if name not in GROUPS and name not in CONDITIONS and name != ADVICE:
-            known = ", ".join([*GROUPS, *CONDITIONS, ADVICE])
+        if name not in GROUPS and name not in (*CONDITIONS, ADVICE, MISTAKES):
+            known = ", ".join([*GROUPS, *CONDITIONS, ADVICE, MISTAKES])
             raise UsageError(f"--condition {name}: unknown; choose from {known}")
         found |= dict.fromkeys(GROUPS.get(name, (name,)))
     return tuple(found)

@@ -8,13 +8,11 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, fields
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from calib.core.version import __version__
-from calib.stages.store import write_bytes
 from calib.study.claims import Verdict
 from calib.study.conditions import GROUPS
 from calib.study.figures import FIGURES, ranks, styled
@@ -26,20 +24,30 @@ DIGITS = 4
 """Significant digits in the table: far more than so many rigs support."""
 
 
-def write_study(
-    out: Path,
+TABLE, DOCUMENT, RANKS = "scores.csv", "scores.json", "ranks.svg"
+
+
+def study_names() -> tuple[str, ...]:
+    """Return the names of all files that a study may write."""
+    return TABLE, DOCUMENT, RANKS, *(f"{name}.svg" for name in FIGURES)
+
+
+def study_files(
     records: Sequence[Record],
     scores: Sequence[Score],
     verdicts: Sequence[Verdict],
     *,
     settings: Mapping[str, Any],
-) -> tuple[Path, ...]:
-    """Write table and figures; return the files.
+    mark: bytes = b"",
+) -> dict[str, bytes]:
+    """Return table and figures by the names of their files.
 
     Parameters
     ----------
     settings
         Command, seed and number of rigs, for scores.json.
+    mark
+        Attribute by which a figure is known for one of a study.
     """
     document = {
         "generator": f"calib {__version__}",
@@ -48,19 +56,15 @@ def write_study(
         "scores": [asdict(score) for score in scores],
     }
     text = json.dumps(document, indent=1, allow_nan=False, default=str) + "\n"
-    contents: dict[str, bytes | None] = {
-        "scores.csv": table(scores).encode(),
-        "scores.json": text.encode(),
-        "ranks.svg": styled(lambda: ranks(_ranks(records))),
-    }
+    figures = {RANKS: styled(lambda: ranks(_ranks(records)))}
     for name, draw in FIGURES.items():
-        contents[f"{name}.svg"] = styled(partial(draw, scores))
-    written = []
-    for name, content in contents.items():
-        if content is not None:
-            write_bytes(out / name, content)
-            written.append(out / name)
-    return tuple(written)
+        figures[f"{name}.svg"] = styled(partial(draw, scores))
+    tables = {TABLE: table(scores).encode(), DOCUMENT: text.encode()}
+    return tables | {
+        name: picture.replace(b"<svg ", b"<svg " + mark, 1)
+        for name, picture in figures.items()
+        if picture is not None
+    }
 
 
 def table(scores: Sequence[Score]) -> str:

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 from scipy.stats import chi2
 
 from calib.core.arrays import FloatArray
-from calib.study.conditions import ADVICE, CONDITIONS
+from calib.diagnosis.engine import DECISIVE
+from calib.diagnosis.hypotheses import HYPOTHESES
+from calib.study.conditions import ADVICE, CONDITIONS, MISTAKES
 from calib.study.rigs import BEYOND, INSIDE
 
 Record = dict[str, Any]
@@ -33,6 +37,12 @@ DEPTHS = (("depths", "selected", "measure"), ("averaged", "averaged", "measure a
 """Key of the record, name of the estimator, and name of what `calib measure` makes of it."""
 
 NOISE = "noise_scale"
+
+HARM = 2.0
+"""A mistake matters where it moves a depth by over so many u."""
+
+PENALTY = float(np.log(len(HYPOTHESES)))
+"""What it costs in nats not to know which mistake to look for."""
 
 
 @dataclass(frozen=True)
@@ -71,14 +81,14 @@ def score_all(records: Iterable[Record]) -> tuple[Score, ...]:
     for record in sorted(records, key=lambda r: int(r["number"])):
         by_condition.setdefault(record["condition"], []).append(record)
     found: list[Score] = []
-    for name in (*CONDITIONS, ADVICE):
+    for name in (*CONDITIONS, ADVICE, MISTAKES):
         if name not in by_condition:
             continue
         failed = [r for r in by_condition[name] if "failed" in r]
         good = [r for r in by_condition[name] if "failed" not in r]
         found.append(Score(name, "rigs", "", "failed", float(len(failed)), None, len(good)))
         if good:
-            found += _advice(good) if name == ADVICE else _condition(name, good)
+            found += _SPECIAL.get(name, partial(_condition, name))(good)
     return tuple(found)
 
 
@@ -222,6 +232,36 @@ def _selection(name: str, records: Sequence[Record]) -> Iterator[Score]:
         yield Score(name, "model", EXTENDED, "share_clear", *_mean(chosen), len(chosen))
 
 
+def _mistakes(records: Sequence[Record]) -> list[Score]:
+    """Return how often the diagnosis names what is wrong, and how often where nothing is."""
+    given = [names for record in records for names in record["clean"].values() if names is not None]
+    found = [_share(MISTAKES, "clean rigs", "", "false_names", [bool(names) for names in given])]
+    made = [one for record in records for one in record["mistakes"]]
+    made = [one for one in made if (one["effect"] or 0.0) > HARM]
+    for rows in sorted({one["rows"] for one in made}):
+        some = [one for one in made if one["rows"] == rows]
+        right = [one["fault"] in one["named"] for one in some]
+        wrong = [bool(one["named"]) and one["fault"] not in one["named"] for one in some]
+        told = [one["gain"] is not None and one["gain"] + PENALTY > DECISIVE for one in some]
+        shown = [good for good, is_told in zip(right, told, strict=True) if is_told]
+        found += [
+            _share(MISTAKES, f"{rows} rows", "", "named", right),
+            _share(MISTAKES, f"{rows} rows", "", "wrong_name", wrong),
+            _share(MISTAKES, f"{rows} rows", "", "in_evidence", told),
+            _share(MISTAKES, f"{rows} rows", "", "named_in_evidence", shown),
+        ]
+    for fault in dict.fromkeys(one["fault"] for one in made):
+        named = [one["fault"] in one["named"] for one in made if one["fault"] == fault]
+        found.append(_share(MISTAKES, fault, "", "named", named))
+    return found
+
+
+def _share(name: str, subject: str, estimator: str, statistic: str, held: Sequence[bool]) -> Score:
+    return Score(
+        name, subject, estimator, statistic, *_mean(np.array(held, dtype=float)), len(held)
+    )
+
+
 def _advice(records: Sequence[Record]) -> list[Score]:
     """Return how much lower u(z) is after advised than after random targets."""
     found = []
@@ -237,3 +277,9 @@ def _advice(records: Sequence[Record]) -> list[Score]:
                   len(ratio))
         )  # fmt: skip
     return found
+
+
+_SPECIAL: Mapping[str, Callable[[Sequence[Record]], Iterable[Score]]] = MappingProxyType(
+    {ADVICE: _advice, MISTAKES: _mistakes}
+)
+"""Scores of trials that are no calibrations of one rig under one condition."""

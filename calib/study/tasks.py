@@ -13,7 +13,7 @@ from calib.stages.cluster import run_on_cluster
 from calib.stages.fingerprint import code_fingerprint, digest
 from calib.stages.parallel import Request, run_parallel
 from calib.stages.stage_file import Failure, unpack
-from calib.study.conditions import ADVICE, CONDITIONS
+from calib.study.conditions import ADVICE, CONDITIONS, MISTAKES
 
 Record = dict[str, Any]
 
@@ -31,7 +31,8 @@ class Task:
 def key_of(condition: str, seed: int) -> str:
     """Return the hash of all that a condition's results depend on, the rig's number left out."""
     fields = asdict(CONDITIONS[condition]) if condition in CONDITIONS else condition
-    module = "calib.study.advice" if condition == ADVICE else "calib.study.trial"
+    own = {ADVICE: "calib.study.advice", MISTAKES: "calib.study.faults"}
+    module = own.get(condition, "calib.study.trial")
     return digest(fields, seed, code_fingerprint(module))[:16]
 
 
@@ -41,6 +42,10 @@ def perform(task: Task) -> Record:
         from calib.study.advice import run_advice
 
         record: Record = run_advice(seed=task.seed, number=task.number)
+    elif task.condition == MISTAKES:
+        from calib.study.faults import run_faults
+
+        record = run_faults(seed=task.seed, number=task.number)
     else:
         from calib.study.trial import run_trial
 

@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import distributed
@@ -18,6 +19,7 @@ from calib.batch.run import run_batch, tasks_of
 from calib.batch.summary import Line, csv_text, page
 from calib.batch.task import Task, calibrate_one
 from calib.core.errors import UsageError
+from calib.stages.store import Store, is_in_use
 from tests.cli.command import CALIB, DATASETS, process
 
 PAPER = DATASETS / "xu-wang-2017"
@@ -80,7 +82,8 @@ def test_a_signal_ends_the_batch_and_its_processes(
     assert _group(batch.pid) == []
 
 
-def test_a_killed_batch_leaves_no_process(three: Path, tmp_path: Path) -> None:
+def test_a_killed_batch_takes_its_processes_along_in_mid_work(three: Path, tmp_path: Path) -> None:
+    """Property: they are stopped, so that none can notice anything or say a word."""
     batch = subprocess.Popen(
         [CALIB, "batch", three / "good", "--out", tmp_path / "out"],
         stderr=subprocess.DEVNULL, start_new_session=True,
@@ -88,9 +91,14 @@ def test_a_killed_batch_leaves_no_process(three: Path, tmp_path: Path) -> None:
     while not (tmp_path / "out" / "good" / ".stages").exists():
         assert batch.poll() is None
         time.sleep(0.02)
+    wanted = 2  # the batch and the run; the run's own workers, where it has some by now
+    while len(_group(batch.pid)) < wanted:
+        time.sleep(0.02)
+    for child in set(_group(batch.pid)) - {batch.pid}:
+        os.kill(child, signal.SIGSTOP)
     batch.kill()
     batch.wait()
-    deadline = time.monotonic() + 120
+    deadline = time.monotonic() + 20
     while _group(batch.pid) and time.monotonic() < deadline:
         time.sleep(0.05)
     assert _group(batch.pid) == []
@@ -130,6 +138,33 @@ def test_a_run_that_crashes_is_told_as_such(
     outcome = calibrate_one(Task(str(PAPER), str(tmp_path / "out")))
     assert outcome.ending == "crashed"
     assert outcome.said == ("  base/linear", "ended with status -9")
+
+
+def test_a_folder_in_use_is_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A batch on a cluster was killed: its workers are still at what they were given."""
+    out, runs = tmp_path / "out", tmp_path / "runs"
+    program = tmp_path / "python"
+    program.write_text(
+        f"#!{sys.executable}\nfrom pathlib import Path\n"
+        "from calib.core.errors import UsageError\nfrom calib.stages.store import Store\n"
+        f"with Path({str(runs)!r}).open('a') as file:\n    file.write('x')\n"
+        f"try:\n    with Store(Path({str(out)!r})).locked():\n        pass\n"
+        "except UsageError as error:\n    raise SystemExit(f'calib: {error}') from None\n"
+    )
+    program.chmod(0o755)
+    monkeypatch.setattr("calib.batch.task._ENDINGS", {0: "passed", 1: "refused"})
+    monkeypatch.setattr(sys, "executable", str(program))
+    with ThreadPoolExecutor() as pool:
+        with Store(out).locked():
+            assert is_in_use(out)
+            waiting = pool.submit(calibrate_one, Task(str(PAPER), str(out)))
+            while not runs.exists():
+                time.sleep(0.02)
+            time.sleep(2.0)
+            assert not waiting.done()
+        assert waiting.result().ending == "passed"
+    assert not is_in_use(out)
+    assert len(runs.read_text()) == 2
 
 
 def test_names_of_runs(tmp_path: Path) -> None:

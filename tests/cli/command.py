@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import argparse
 import os
 import subprocess
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -60,6 +61,15 @@ def process(*arguments: object, env: Mapping[str, str] | None = None, text: str 
         check=False,
     )
     return Ended(done.returncode, done.stdout, done.stderr)
+
+
+def commands(parser: argparse.ArgumentParser) -> Iterator[argparse.ArgumentParser]:
+    """Yield every command of a parser, and the commands of commands."""
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            for command in action.choices.values():
+                yield command
+                yield from commands(command)
 
 
 def call(capsys: pytest.CaptureFixture[str], *arguments: object) -> Ended:

@@ -6,30 +6,24 @@ Evidence: property, over every output of the parser, so that a new option cannot
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import sqlite3
 import stat
-from collections.abc import Iterator
+from datetime import date
 from pathlib import Path
 
 import pytest
-from command import GOOD, call, dataset, tree
+from command import GOOD, call, commands, dataset, tree
+from test_measure import calibration
 
 from calib.cli.arguments import PathRole, guard_outputs, roles
 from calib.cli.main import parser
 from calib.core.errors import UsageError
-from calib.stages.output_guard import guarded
-from calib.stages.owner import claim
-
-
-def commands(parser: argparse.ArgumentParser) -> Iterator[argparse.ArgumentParser]:
-    """Yield every command, and the commands of commands."""
-    for action in parser._actions:
-        if isinstance(action, argparse._SubParsersAction):
-            for command in action.choices.values():
-                yield command
-                yield from commands(command)
-
+from calib.stages.output_guard import files_of, guarded
+from calib.stages.owner import Owner, claim
+from calib.stages.store import Store
+from tests.history.test_index import TRUTH, written
 
 COMMANDS = list(commands(parser()))
 OUTPUTS = [
@@ -117,6 +111,119 @@ def test_folder_spares_what_is_above_files_and_folders_of_others(
     asked(command, role, tmp_path / "new", data)
 
 
+MARKED = [one for one in FOLDERS if not one.values[1].writes.is_new]
+
+
+@pytest.mark.parametrize(("command", "role"), MARKED)
+def test_a_folder_is_known_by_what_its_files_say(
+    command: argparse.ArgumentParser, role: PathRole, tmp_path: Path
+) -> None:
+    """Files of the names that the command writes, made by somebody else."""
+    kind = role.writes
+    assert kind is not None
+    assert kind.files, "a folder that is added to needs a mark"
+    by_content = {pattern: marks for pattern, marks in kind.files if marks}
+    assert by_content
+    for pattern, marks in by_content.items():
+        folder = tmp_path / pattern.replace("*", "star").replace("/", "-")
+        theirs, name = folder / pattern.replace("*", "index"), pattern.replace("*", "index")
+        theirs.parent.mkdir(parents=True)
+        theirs.write_text("mine\n")
+        (folder / "letter.txt").write_text("dear")
+        with pytest.raises(UsageError, match="another origin"):
+            asked(command, role, folder, tmp_path / "none")
+        theirs.write_bytes(b"\n" + marks[0] + b"\n")
+        asked(command, role, folder, tmp_path / "none")
+        # In a folder of its own each file is looked at.
+        theirs.write_text("mine\n")
+        with pytest.raises(UsageError, match="another origin"):
+            files_of(folder, [name], kind, option=role.option)
+        assert files_of(folder, [name], kind, option=role.option, force=True)
+        # A link is written through, if its target passes.
+        theirs.unlink()
+        (tmp_path / "target").write_bytes(marks[0])
+        theirs.symlink_to(tmp_path / "target")
+        assert files_of(folder, [name], kind, option=role.option)[name] == tmp_path / "target"
+        (tmp_path / "target").write_text("mine\n")
+        with pytest.raises(UsageError, match="another origin"):
+            files_of(folder, [name], kind, option=role.option)
+
+
+def test_only_what_is_made_anew_has_no_force() -> None:
+    for command in COMMANDS:
+        writes = [role.writes for role in roles(command) if role.writes is not None]
+        offers = "--force" in command._option_string_actions
+        assert offers is any(not kind.is_new for kind in writes), command.prog
+
+
+FOREIGN = {
+    "export": (
+        ["export", "c.json", "--format", "opencv", "--out", "OUT"],
+        ("c1.yaml", "c2.yaml"), ("stereo.yaml", "# calib export"),
+    ),
+    "page": (
+        ["history", "page", "--out", "OUT"],
+        ("index.html", "R1.html"), ("R2.html", 'content="calib history page"'),
+    ),
+    "batch": (
+        ["batch", "d", "--out", "OUT"],
+        ("batch.csv",), ("batch.html", 'content="calib batch"'),
+    ),
+    "study": (
+        ["study", "--rigs", "1", "--out", "OUT"],
+        ("rigs.jsonl", "scores.csv", "ranks.svg"), ("scores.json", '"generator": "calib '),
+    ),
+    "calibrate": (
+        ["calibrate", "d", "--out", "OUT"],
+        ("report.html", "calibration.json"), (".lock", ""),
+    ),
+}  # fmt: skip
+"""A command, files of somebody else under names that it writes, and one of its own."""
+
+
+@pytest.mark.parametrize("beside_ours", [False, True])
+@pytest.mark.parametrize(("arguments", "theirs", "ours"), FOREIGN.values(), ids=FOREIGN.keys())
+def test_files_of_others_under_our_names_are_spared(
+    arguments: list[str],
+    theirs: tuple[str, ...],
+    ours: tuple[str, str],
+    beside_ours: bool,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    dataset(tmp_path / "d", GOOD)
+    (tmp_path / "c.json").write_text(json.dumps(calibration()))
+    written(tmp_path / "runs" / "r1", TRUTH, rig="R1", day=date(2026, 1, 2))
+    assert call(capsys, "history", "index", "runs").status == 0
+    out = tmp_path / "out"
+    out.mkdir()
+    if beside_ours:
+        (out / ours[0]).write_text(ours[1])
+    for name in theirs:
+        (out / name).write_text("mine\n")
+    ended = call(capsys, *(a.replace("OUT", str(out)) for a in arguments))
+    assert ended.status == 2, ended.err
+    assert "another origin" in ended.err
+    assert len(ended.err.splitlines()) == 1
+    assert {name: (out / name).read_text() for name in theirs} == dict.fromkeys(theirs, "mine\n")
+
+
+def test_a_lock_and_temporary_files_of_others_are_spared(tmp_path: Path) -> None:
+    store = Store(tmp_path / "run")
+    letter, notes = tmp_path / "letter", tmp_path / "run" / ".notes.part"
+    letter.write_text("dear")
+    notes.write_text("mine")
+    with store.locked():
+        assert notes.read_text() == "mine"
+    (tmp_path / "run" / ".lock").unlink()
+    (tmp_path / "run" / ".lock").symlink_to(letter)
+    with pytest.raises(UsageError, match="cannot be written"), store.locked():
+        pass
+    assert letter.read_text() == "dear"
+
+
 def has_input(command: argparse.ArgumentParser) -> bool:
     return any(role.writes is None for role in roles(command))
 
@@ -168,15 +275,23 @@ def test_run_of_another_dataset_is_not_replaced(tmp_path: Path) -> None:
     out, first, second = (tmp_path / name for name in ("reports/day1", "rig1/day1", "rig2/day1"))
     for folder in (out / ".stages", first, second):
         folder.mkdir(parents=True)
-    claim(out, root=first, sha256="a" * 64)
-    claim(out, root=first, sha256="b" * 64)  # edited
+    claim(out, Owner(first, "a" * 64, "day1", "7"))
+    claim(out, Owner(first, "b" * 64, "day1", "7"))  # edited
     with pytest.raises(UsageError, match=r"--out .*rig2-day1"):
-        claim(out, root=second, sha256="c" * 64)
-    claim(out, root=second, sha256="b" * 64)  # moved
+        claim(out, Owner(second, "c" * 64, "day1", "7"))
+    claim(out, Owner(second, "b" * 64, "day1", "7"))  # moved
     moved = tmp_path / "elsewhere"
     moved.mkdir()
     (tmp_path / "reports").rename(moved / "reports")
-    claim(moved / "reports" / "day1", root=moved / "rig2" / "day1", sha256="d" * 64)
+    claim(moved / "reports" / "day1", Owner(moved / "rig2" / "day1", "d" * 64, "day1", "7"))
+    # Another rig's disk at the same place: by the serial number, else by the dataset's name.
+    out, place = moved / "reports" / "day1", moved / "rig2" / "day1"
+    with pytest.raises(UsageError, match="name day1, serial 7"):
+        claim(out, Owner(place, "e" * 64, "day1", "8"))
+    claim(out, Owner(place, "e" * 64, "a new name", "7"))
+    with pytest.raises(UsageError, match="holds the run of another dataset"):
+        claim(out, Owner(place, "f" * 64, "day1"))
+    claim(out, Owner(place, "f" * 64, "a new name"))
 
 
 def test_database_of_another_origin_is_not_touched(

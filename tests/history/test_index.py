@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import signal
 import sqlite3
@@ -17,9 +18,14 @@ import pytest
 
 from calib.cli.main import main
 from calib.core.errors import InputError
+from calib.geometry.misclosure import depth_jacobian
+from calib.geometry.parameters import INDEX, vector
+from calib.geometry.plane import gaze_at
+from calib.history.entry import Entry, read_entry
 from calib.history.index import history, rigs, update
 from calib.history.page import page_name
 from calib.history.quantities import series
+from calib.history.scan import scan
 from calib.history.summary import due, notes, show, since
 
 NAMES = ["baseline_mm", "delta2_rad", "axis_z_mm", "eccentricity_mm"]
@@ -99,6 +105,64 @@ def test_kept_index_equals_one_made_anew(tmp_path: Path) -> None:
     assert [number for _, number, _ in rigs(kept)] == [4, 3, 3, 1]
 
 
+def test_what_changes_before_the_lock_is_read_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """While one writer waits, folders change and another writer has seen it."""
+    top, kept = fleet(tmp_path / "runs", of=2, each=3), tmp_path / "kept.sqlite"
+    update(kept, [top])
+    late = []
+
+    def scan_then_change(*given: object) -> object:
+        found = scan(*given)  # type: ignore[arg-type]
+        if not late:
+            late.append(True)
+            shutil.rmtree(top / "000-00")
+            shutil.move(top / "000-01", top / "moved")
+            shutil.rmtree(top / "001-00")
+            written(top / "001-00", TRUTH + STD, rig="R001", day=date(2022, 1, 1))
+            written(top / "new", TRUTH, rig="R9", day=date(2021, 1, 1))
+            update(kept, [top])
+        return found
+
+    monkeypatch.setattr("calib.history.index.scan", scan_then_change)
+    update(kept, [top])
+    assert late
+    update(tmp_path / "anew.sqlite", [top])
+    assert contents(kept) == contents(tmp_path / "anew.sqlite")
+    assert {Path(str(row[0])).name for row in contents(kept)} >= {"moved", "new", "001-00"}
+
+
+def test_files_as_they_were_are_not_read_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nor is one overlooked that changed within the time that file systems tell apart."""
+    top, index = fleet(tmp_path / "runs", of=2, each=3), tmp_path / "i.sqlite"
+    read: list[str] = []
+
+    def reading(folder: Path) -> Entry:
+        read.append(folder.name)
+        return read_entry(folder)
+
+    monkeypatch.setattr("calib.history.scan.read_entry", reading)
+    update(index, [top])
+    young = len(read)
+    assert young >= 6
+    monkeypatch.setattr("calib.history.scan.YOUNG_S", -3600.0)
+    update(index, [top])
+    read.clear()
+    assert update(index, [top]).calibrations == 6
+    assert read == []
+    result = top / "000-01" / "calibration.json"
+    was, text = result.stat(), result.read_text()
+    result.write_text(text.replace("axis-offset", "axis-tilted"))
+    os.utime(result, ns=(was.st_atime_ns, was.st_mtime_ns))
+    (top / "001-01" / "run.toml").write_text('[run]\nfinished = "2030-01-01T08:00:00+00:00"\n')
+    assert update(index, [top]).changed == (str(result.parent),)
+    assert sorted(set(read)) == ["000-01", "001-01"]
+    assert rigs(index)[1] == ("R001", 3, "2030-01-01")
+
+
 def test_calibrations_elsewhere_are_kept(tmp_path: Path) -> None:
     index = tmp_path / "i.sqlite"
     one = fleet(tmp_path / "one", of=1, each=2)
@@ -113,9 +177,11 @@ def test_calibrations_elsewhere_are_kept(tmp_path: Path) -> None:
 def test_the_rig_is_that_of_json_then_certificate_then_dataset(tmp_path: Path) -> None:
     index = tmp_path / "i.sqlite"
     certificate = (
-        '<c xmlns="https://ptb.de/dcc"><items><item><identifications><identification>'
-        "<value>{serial}</value><name><content>serial number</content></name></identification>"
-        "</identifications></item></items><endPerformanceDate>2019-05-06</endPerformanceDate></c>"
+        '<c xmlns="https://ptb.de/dcc"><administrativeData>'
+        "<coreData><endPerformanceDate>2019-05-06</endPerformanceDate></coreData>"
+        "<items><item><identifications><identification><value>{serial}</value>"
+        "<name><content>serial number</content></name></identification></identifications></item>"
+        "</items></administrativeData></c>"
     )
     for name, rig, serial in (("a", "A1", "C1"), ("b", None, "C1"), ("c", None, "c" * 64)):
         folder = written(
@@ -239,7 +305,7 @@ def test_pages_lead_to_all_rigs_alarms_first(tmp_path: Path) -> None:
     assert "delta2 (Shewhart" in text
     one = (out / "R002.html").read_text()
     assert "ALARM 2021-06-24" in one
-    assert one.count("<svg") == 1
+    assert one.count("<svg") == 18
     assert "due on 2022-" in one
     assert "ALARM" not in (out / "R000.html").read_text()
 
@@ -323,3 +389,18 @@ def test_a_date_far_ahead_is_told(tmp_path: Path) -> None:
     found = due(entries, tolerance_mm=1e6)
     assert found is not None
     assert found[0] == date.max
+
+
+def test_charted_depths_are_those_of_the_jacobian(tmp_path: Path) -> None:
+    """Values and uncertainties of many calibrations at once against one by one."""
+    update(tmp_path / "i.sqlite", [fleet(tmp_path / "runs", of=1, each=5)])
+    entries = history(tmp_path / "i.sqlite", "R000")
+    z = np.linspace(*entries[0].range_mm, 3)
+    theta = [vector(dict(zip(e.names, e.values.tolist(), strict=True))) for e in entries]
+    gaze = gaze_at(theta[0], np.column_stack([np.zeros((3, 2)), z]))
+    for k, s in enumerate(series(entries)[-3:]):
+        for i, e in enumerate(entries):
+            exact = depth_jacobian(theta[i], gaze)
+            slope = exact.by_theta[k, [INDEX[name] for name in e.names]]
+            assert s.values[i] == pytest.approx(exact.z[k], rel=1e-12)
+            assert s.std[i] == pytest.approx(np.sqrt(slope @ e.covariance @ slope), rel=1e-5)

@@ -17,7 +17,11 @@ from calib.images.bundle import deformed
 from calib.images.joint.changes import focal_changes
 from calib.images.joint.gather import Extra, gather
 from calib.images.joint.lens import refined_lenses
-from calib.images.joint.model import JointProblem, normals_of, residuals_of
+from calib.images.joint.model import (
+    JointProblem,
+    normals_of,
+    residuals_of,
+)
 from calib.images.joint.reduced import Unknowns
 from calib.images.joint.solve import JointSolve, solve_joint
 from calib.images.pairs import start_pairs
@@ -269,25 +273,29 @@ def test_a_lens_refocused_before_the_pairs_is_named() -> None:
     assert "c2-one-lens" not in failed
 
 
-def test_breathing_of_a_lens_is_found_and_measured() -> None:
-    """Simulated truth: C1 sees near boards larger, by 0.6 % over the distances that occur."""
+def breathed(seed: int, share: tuple[float, float]) -> JointSolve:
+    """Both lenses see near boards larger, by so much over the distances that occur."""
     scene = Scene(3, pairs=10, lens=14, rows=8)
-    rng = np.random.default_rng(10)
-    middle = scenes.C1.matrix[:2, 2]
+    pairs, extra = scene.noisy(np.random.default_rng(seed))
 
-    def breathe(found: Corners) -> Corners:
+    def breathe(found: Corners, c: int) -> Corners:
         pixels = found.pixels.copy()
+        middle = (scenes.C1, scenes.C2)[c].matrix[:2, 2]
         for i, view in enumerate(pixels):
             size = np.sqrt(np.nanmean((view - np.nanmean(view, axis=0)) ** 2))
-            pixels[i] = middle + (1 + 0.006 * size / 120) * (view - middle)
+            pixels[i] = middle + (1 + share[c] * size / 120) * (view - middle)
         return replace(found, pixels=pixels)
 
-    pairs, extra = scene.noisy(rng)
-    pairs = breathe(pairs[0]), pairs[1]
-    extra = Extra(breathe(extra[0].lens), breathe(extra[0].rows)), extra[1]
+    both = breathe(pairs[0], 0), breathe(pairs[1], 1)
+    one, two = (Extra(breathe(e.lens, c), breathe(e.rows, c)) for c, e in enumerate(extra))
     cameras = (scenes.C1, scenes.C2)
-    start = start_pairs(pairs, scenes.BOARD, cameras=cameras)
-    joint = solve_joint(*gather(start, pairs, extra, scenes.BOARD, cameras=cameras, free=BOTH))
+    start = start_pairs(both, scenes.BOARD, cameras=cameras)
+    return solve_joint(*gather(start, both, (one, two), scenes.BOARD, cameras=cameras, free=BOTH))
+
+
+def test_breathing_of_a_lens_is_found_and_measured() -> None:
+    """Simulated truth: C1 sees near boards larger, by 0.6 % over the distances that occur."""
+    joint = breathed(10, (0.006, 0.0))
     found = {(c.camera, c.between): c for c in focal_changes(joint)}
     own = found["c1", "distance"]
     assert own.change / own.std > 5
@@ -297,3 +305,14 @@ def test_breathing_of_a_lens_is_found_and_measured() -> None:
     assert abs(other.change) / other.std < own.change / own.std
     passed = {g.name: g.passed for g in lens_gates(tuple(found.values()))}
     assert passed == {"c1-one-lens": False, "c2-one-lens": True}
+
+
+def test_two_lenses_that_breathe_alike_do_not_hide_each_other() -> None:
+    """Simulated truth: by 0.8 % both. Pairs tie the lenses; each alone would show a third of it."""
+    found = focal_changes(breathed(11, (0.008, 0.008)))
+    own = {c.camera: c for c in found if c.between == "distance"}
+    for change in own.values():
+        assert change.together
+        assert change.change / change.std > 4
+        assert change.change == pytest.approx(0.007, abs=0.003)
+    assert not any(g.passed for g in lens_gates(found))

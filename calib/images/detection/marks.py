@@ -82,24 +82,36 @@ def window_pattern(
     if len(large) < VIEWS_MIN:
         return None
     apart = np.array(
-        [_on_board(one, one - two, board) for one, two in zip(large, small, strict=True)]
+        [on_board(one, one - two, board) for one, two in zip(large, small, strict=True)]
     )
-    known = np.isfinite(apart).sum(axis=0) >= VIEWS_MIN
+    repeated = repeated_pattern(apart)
+    if repeated is None:
+        return None
+    differences = np.array(large) - np.array(small)
+    px = float(np.sqrt(np.nanmean(differences**2)))
+    return Pattern(spacings=repeated[0], px=px, ratio=repeated[1])
+
+
+def repeated_pattern(apart: FloatArray) -> tuple[float, float] | None:
+    """Return the root mean square of what repeats in all views, and its square over chance's.
+
+    Parameters
+    ----------
+    apart
+        Shifts along columns and rows of the board, shape (views, corners, 2); NaN where unknown.
+        None is returned where no corner is in `VIEWS_MIN` of them.
+    """
+    count = np.isfinite(apart).sum(axis=0)
+    known = count >= VIEWS_MIN
     if not known.any():
         return None
-    count = np.isfinite(apart).sum(axis=0)[known]
     values = apart[:, known]
-    mean = np.nanmean(values, axis=0)
-    scatter = np.nanvar(values, axis=0, ddof=1) / count
-    differences = np.array(large) - np.array(small)
-    return Pattern(
-        spacings=float(np.sqrt(np.mean(mean**2))),
-        px=float(np.sqrt(np.nanmean(differences**2))),
-        ratio=float(np.mean(mean**2) / max(float(np.mean(scatter)), 1e-18)),
-    )
+    square = float(np.mean(np.nanmean(values, axis=0) ** 2))
+    scatter = float(np.mean(np.nanvar(values, axis=0, ddof=1) / count[known]))
+    return float(np.sqrt(square)), square / max(scatter, 1e-18)
 
 
-def _on_board(pixels: FloatArray, shift: FloatArray, board: Board) -> FloatArray:
+def on_board(pixels: FloatArray, shift: FloatArray, board: Board) -> FloatArray:
     """Return shifts, px, along columns and rows of the board, in spacings, shape (corners, 2)."""
     grid = pixels.reshape(board.rows, board.columns, 2)
     steps = np.stack([np.gradient(grid, axis=1), np.gradient(grid, axis=0)], axis=-1)

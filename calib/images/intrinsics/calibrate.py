@@ -38,7 +38,12 @@ from calib.images.intrinsics.maps import (
     nodes,
     rays_of,
 )
-from calib.images.intrinsics.remarks import backend_warnings, better, picture_warnings
+from calib.images.intrinsics.remarks import (
+    backend_warnings,
+    better,
+    board_warning,
+    picture_warnings,
+)
 from calib.images.intrinsics.validate import CrossValidation, cross_validate
 from calib.images.mrcal.solves import MIN_CORNERS, focal_start
 from calib.images.opencv import steady_opencv
@@ -64,8 +69,8 @@ class Intrinsics:
     selected
         The fit to use.
     covariance
-        Of its fx, fy, cx, cy and distortion, px and 1, shape (4 + k, 4 + k), enlarged by
-        `dispersion`, as that of each fit is by its own.
+        Of its fx, fy, cx, cy and distortion, px and 1, shape (4 + k, 4 + k): enlarged by
+        `dispersion`, as that of each fit is by its own, and by errors of the board's corners.
     dispersion
         Variance of the estimate as the views show it over that which independent corner noise
         explains; below 1 as far as they prove it.
@@ -149,12 +154,7 @@ def calibrate_intrinsics(corners: Corners, board: Board, *, camera: str, seed: i
             backends = _solve(corners, board, seed)
             validation = cross_validate(corners, board, backends.checked, points=backends.points)
             return _assemble(
-                corners,
-                backends,
-                validation,
-                camera=camera,
-                repeated=repeated,
-                board=board,
+                corners, backends, validation, camera=camera, repeated=repeated, board=board
             )
     except EstimationError as error:
         raise EstimationError(_diagnosis(corners, board, camera, error)) from error
@@ -289,13 +289,12 @@ def _assemble(
     lens, mrcal = validation.chosen, backends.mrcal
     selected, worse = better(mrcal.fits.get(lens), backends.checked[lens])
     points = backends.points[lens]
-    scores = view_scores(selected.camera, selected.poses, selected.residuals, points)
     clusters = repeat_clusters(corners.pixels, drawn)
-    dispersion = scores.dispersion(clusters[_views_of(selected)])
-    enlarged = replace(selected, covariance=selected.covariance * dispersion)
+    enlarged, dispersion = _enlarged(selected, points, clusters)
     inliers = np.where(np.isfinite(selected.residuals), corners.pixels, np.nan)
     coverage = measure_coverage(inliers, corners.image_size)
     at = nodes(inliers, corners.image_size)
+    uncertainty = map_uncertainty(enlarged, at)
     agreement, splined, others = _differences(enlarged, selected, backends, lens, at)
     unused = seen(corners.pixels).any(axis=-1) & ~_views_of(selected)
     flipped = flipped_pictures(
@@ -320,6 +319,7 @@ def _assemble(
         agreement=agreement,
         flat=flat,
         left_out=left_out,
+        uncertainty=uncertainty,
     )
     return Intrinsics(
         name=camera,
@@ -327,14 +327,16 @@ def _assemble(
         covariance=enlarged.covariance,
         dispersion=dispersion,
         alternatives=tuple(
-            _enlarged(fit, drawn, clusters) for fit in backends.all if fit is not selected
+            _enlarged(fit, deformed(drawn, fit.board_warp_mm), clusters)[0]
+            for fit in backends.all
+            if fit is not selected
         ),
         selection=_selection(selected, validation, backends),
         images=corners.images,
         rejected_views=tuple(corners.images[i] for i in np.flatnonzero(unused)),
         detectors=dict(Counter(corners.detector)),
         coverage=coverage,
-        uncertainty=map_uncertainty(enlarged, at),
+        uncertainty=uncertainty,
         differences=tuple(d for d in (agreement, splined, *others) if d is not None),
         validation=validation,
         model_files=mrcal.model_files,
@@ -345,26 +347,28 @@ def _assemble(
             *repeats_warning(camera, corners.images, clusters),
             *backend_warnings(camera, mrcal),
             *([f"{camera}: {worse}"] if worse else []),
+            *board_warning(camera, selected, corners, board),
             *intrinsics_warnings(camera, gates, dispersion=dispersion, splined=splined),
         ),
         purposes={},
     )
 
 
-def _enlarged(fit: LensFit, drawn: FloatArray, clusters: IntArray) -> LensFit:
-    """Return a fit with the covariance that its views bear out.
+def _enlarged(fit: LensFit, points: FloatArray, clusters: IntArray) -> tuple[LensFit, float]:
+    """Return a fit with the covariance that its views and corners bear out, and the views' factor.
 
     Parameters
     ----------
-    drawn
-        Corners of the flat board, mm, shape (corners, 3).
+    points
+        Corners of the board as the fit has it, mm, shape (corners, 3).
     clusters
         Of each view, shape (views,).
     """
-    points = deformed(drawn, fit.board_warp_mm)
-    scores = view_scores(fit.camera, fit.poses, fit.residuals, points)
+    bow = fit.board_warp_mm is not None
+    scores = view_scores(fit.camera, fit.poses, fit.residuals, points, bow=bow)
     factor = scores.dispersion(clusters[_views_of(fit)])
-    return replace(fit, covariance=fit.covariance * factor)
+    covariance = fit.covariance * factor + scores.board_covariance()
+    return replace(fit, covariance=covariance), factor
 
 
 def _differences(

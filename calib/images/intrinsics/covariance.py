@@ -6,17 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.core.arrays import FloatArray, IntArray
+from calib.core.arrays import BoolArray, FloatArray, IntArray
 from calib.core.errors import EstimationError
 from calib.geometry.camera import Camera
-from calib.geometry.poses import transform, transformed_by_pose
-from calib.images.bundle import inverse, project_points, proven
+from calib.geometry.poses import rotation, transform, transformed_by_pose
+from calib.images.board_errors import BoardSums, Equations
+from calib.images.bundle import bow_shapes, inverse, project_points
 from calib.images.detection.grid import seen
-from calib.images.repeats import summed
-
-OPEN = 1e-10
-"""Share of the greatest information, unknowns scaled, below which a direction counts as open: its
-standard deviation is 100,000 times that of the best."""
+from calib.images.disagreement import view_factor
 
 
 @dataclass(frozen=True)
@@ -24,22 +21,30 @@ class ViewScores:
     """The least-squares problem of the intrinsics, view by view, poses eliminated.
 
     With A, B the derivatives of a view's pixels by intrinsics and pose, A* is what of A no pose can
-    imitate, A - B (B'B)^-1 B'A (Schur's complement).
+    imitate, A - B (B'B)^-1 B'A (Schur's complement). Where the bow of the board was solved too, its
+    two unknowns follow the p intrinsics: n = p + 2, or p.
 
     Parameters
     ----------
+    lens
+        Number of intrinsics, p.
     normals
-        A*'A* of each view, shape (views, p, p).
+        A*'A* of each view, shape (views, n, n).
     scores
-        A*'r of each view, r its residuals, shape (views, p).
+        A*'r of each view, r its residuals, shape (views, n).
+    sums, points
+        What tells errors of the board, and its corners, mm, shape (corners, 3).
     squares
         Sum of squared residuals, px^2.
     freedom
         Coordinates less parameters, poses included.
     """
 
+    lens: int
     normals: FloatArray
     scores: FloatArray
+    sums: BoardSums
+    points: FloatArray
     squares: float
     freedom: int
 
@@ -54,7 +59,7 @@ class ViewScores:
         """
         if self.freedom <= 0:
             raise EstimationError(
-                f"{len(self.normals)} views do not overdetermine {self.scores.shape[1]} "
+                f"{len(self.normals)} views do not overdetermine {self.lens} "
                 "intrinsics and their poses; take more board images"
             )
         return self.squares / self.freedom
@@ -67,45 +72,42 @@ class ViewScores:
         EstimationError
             If the views leave a parameter open.
         """
-        return inverse(self.normals.sum(axis=0)) * self.variance
+        spread = inverse(self.normals.sum(axis=0)) * self.variance
+        return spread[: self.lens, : self.lens]
 
     def dispersion(self, clusters: IntArray | None = None) -> float:
         """Return the variance that views show over that which independent corner noise explains.
 
-        The sum over views of s' N^-1 s (s the score, N the normal matrix of all views), over its
-        expectation under independent noise, sigma^2 (p - sum tr (N^-1 N_v)^2): the variance of the
-        estimate as the views show it over that of `covariance`, averaged over all directions (a
-        cluster-robust covariance, Liang and Zeger 1986, doi 10.1093/biomet/73.1.13, as one number).
-        1 on independent noise, more where errors are common to a view: a board that is not quite
-        flat, a detector's bias with the light, blur; less where neighbouring corners err against
-        each other, as far as the views prove it (`calib.images.bundle.proven`).
+        See `calib.images.disagreement.view_factor`.
 
         Parameters
         ----------
         clusters
             Of each view in use, shape (views,): views that count as one; each its own by default.
         """
-        normals, scores = self.normals, self.scores
-        if clusters is not None:
-            clusters = np.unique(clusters, return_inverse=True)[1]
-            normals, scores = summed(normals, clusters), summed(scores, clusters)
-        normal = self.normals.sum(axis=0)
-        scale = np.sqrt(np.diag(normal))
-        value, vector = np.linalg.eigh(normal / np.outer(scale, scale))
-        # Directions that the views leave open hold no score to be judged.
-        shown = value > OPEN * value[-1]
-        root = vector[:, shown] / np.sqrt(value[shown]) / scale[:, None]
-        share = root.T @ normals @ root
-        alike = float((share**2).sum())
-        expected = float(shown.sum()) - alike
-        if expected <= OPEN:  # one view alone
-            return 1.0
-        found = float(((scores @ root) ** 2).sum())
-        return proven(found / (self.variance * expected), freedom=expected**2 / alike)
+        if clusters is None:
+            clusters = np.arange(len(self.normals))
+        own = np.unique(clusters, return_inverse=True)[1]
+        scores = self.scores / self.variance
+        return view_factor(
+            self.normals / self.variance, scores, columns=np.arange(self.lens), clusters=own
+        )
+
+    def board_covariance(self) -> FloatArray:
+        """Return what errors of the board add to the covariance, shape (p, p).
+
+        See `calib.images.board_errors`.
+        """
+        return self.sums.covariance(self.points)[: self.lens, : self.lens]
 
 
 def view_scores(
-    camera: Camera, poses: FloatArray, residuals: FloatArray, points: FloatArray
+    camera: Camera,
+    poses: FloatArray,
+    residuals: FloatArray,
+    points: FloatArray,
+    *,
+    bow: bool = False,
 ) -> ViewScores:
     """Return normal matrices and scores of the intrinsics, in the order of `intrinsic_names`.
 
@@ -117,21 +119,44 @@ def view_scores(
         Observed minus projected, px, shape (views, corners, 2); NaN where not used.
     points
         Corners in the board's frame, mm, shape (corners, 3).
+    bow
+        Whether the bow of the board was solved too.
     """
     used = seen(residuals)
+    lens, extra = 4 + len(camera.distortion), 2 if bow else 0
+    bows = bow_shapes(points)
+    size = lens + extra
+    sums = BoardSums(len(residuals), len(points), size)
     normals, scores = [], []
     for i in np.flatnonzero(used.any(axis=-1)):
         on_board = points[used[i]]
         projection = project_points(camera, transform(poses[i], on_board))
-        by_lens = projection.by_intrinsics.reshape(2 * len(on_board), -1)
-        by_pose = (projection.by_point @ transformed_by_pose(poses[i], on_board)).reshape(-1, 6)
+        by_lens = projection.by_intrinsics
+        by_pose = projection.by_point @ transformed_by_pose(poses[i], on_board)
+        by_place = projection.by_point @ rotation(poses[i][:3])
+        if bow:
+            by_bow = by_place[..., 2, None] * bows[used[i], None, :]
+            by_lens = np.concatenate([by_lens, by_bow], axis=-1)
+        off = residuals[i, used[i]]
+        here = np.array([i])
+        sums.add(Equations(here, *(_padded(v, used[i]) for v in (off, by_lens, by_pose, by_place))))
+        by_lens, by_pose = by_lens.reshape(-1, size), by_pose.reshape(-1, 6)
         own = by_lens - by_pose @ np.linalg.lstsq(by_pose, by_lens, rcond=None)[0]
         normals.append(own.T @ own)
-        scores.append(own.T @ residuals[i, used[i]].ravel())
-    count = 4 + len(camera.distortion)
+        scores.append(own.T @ off.ravel())
     return ViewScores(
+        lens=lens,
         normals=np.stack(normals),
         scores=np.stack(scores),
+        sums=sums,
+        points=points,
         squares=float(np.nansum(residuals**2)),
-        freedom=2 * int(used.sum()) - count - 6 * len(normals),
+        freedom=2 * int(used.sum()) - size - 6 * len(normals),
     )
+
+
+def _padded(values: FloatArray, used: BoolArray) -> FloatArray:
+    """Return rows of some corners as an image of all, shape (1, corners, ...), 0 elsewhere."""
+    full = np.zeros((1, len(used), *values.shape[1:]))
+    full[0, used] = values
+    return full

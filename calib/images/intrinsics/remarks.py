@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from calib.geometry.board import Corners, LensFit
+import numpy as np
+
+from calib.geometry.board import Board, Corners, LensFit
+from calib.images.detection.marks import PATTERN_RATIO, on_board, repeated_pattern
 from calib.images.intrinsics.by_mrcal import MrcalFits
 from calib.images.intrinsics.gates import WORSE
 
@@ -49,3 +52,19 @@ def backend_warnings(camera: str, mrcal: MrcalFits) -> tuple[str, ...]:
     if mrcal.missing:
         return (f"{camera}: {mrcal.missing}",)
     return tuple(f"{camera}: mrcal, {lens}: {why}" for lens, why in mrcal.failed.items())
+
+
+def board_warning(camera: str, fit: LensFit, corners: Corners, board: Board) -> tuple[str, ...]:
+    """Say that corners lie off their places on the board, where all pictures show them so."""
+    views = zip(corners.pixels, fit.residuals, strict=True)
+    off = np.array([on_board(pixels, left, board) for pixels, left in views])
+    pattern = repeated_pattern(off)
+    if pattern is None or pattern[1] < PATTERN_RATIO:
+        return ()
+    spacings, ratio = pattern
+    return (
+        f"{camera}: corners lie {spacings * board.square_mm:.3f} mm rms off their places on the "
+        f"board, alike in all pictures ({ratio:.0f} times what chance explains): the print or the "
+        "plate is not true. The covariance of the intrinsics holds what that may do; a board on "
+        "glass or metal does better",
+    )

@@ -1,21 +1,24 @@
-"""Whether a lens stayed what it was in all its images.
+"""Whether the lenses stayed what they were in all their images.
 
-To the joint solve one unknown more is added in thought: a relative change of a camera's focal
-length that grows with some covariate x of the views, f (1 + beta x). Its estimate follows from the
-views' normal equations at the minimum (a score test, Rao 1948): with a the direction of the focal
-length among the shared unknowns, N_v and s_v a view's normal matrix and gradient, C the inverse of
-the sum of N_v,
+To the joint solve unknowns are added in thought: a relative change of a camera's focal length that
+grows with some covariate x of the views, f (1 + beta x): for each camera alone, and for both. Pairs
+tie the cameras, so that two lenses that change alike look like two that do not, unless both may.
+Estimates follow from the views' normal equations at the minimum (a score test, Rao 1948):
+with a_k the direction of the focal length of camera k among the shared unknowns, N_v and s_v a
+view's normal matrix and gradient, C the inverse of the sum of N_v,
 
-    beta = -sum x s_v'a / (sum x^2 a'N_v a - b'C b),     b = sum x N_v a.
+    beta = -M^-1 g,    g_k = sum x_k s_v'a_k,
+    M_kl = sum x_k x_l a_k'N_v a_l - b_k'C b_l,    b_k = sum x_k N_v a_k.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
-from calib.core.arrays import BoolArray, FloatArray
+from calib.core.arrays import BoolArray, FloatArray, IntArray
 from calib.geometry.poses import transform
 from calib.images.bundle import finite
 from calib.images.joint.reduced import dispersion
@@ -23,6 +26,12 @@ from calib.images.joint.solve import JointSolve
 
 MIN_IMAGES = 4
 """Images of a kind below which it is not compared with the others."""
+
+BOTH_GAIN = 10.8
+"""Gain of chi squared above which both lenses change: 1 in 1,000 by chance."""
+
+TOLD_LEAST = 1e-9
+"""Share of the information that other unknowns leave, below which a change is not told."""
 
 
 @dataclass(frozen=True)
@@ -35,6 +44,8 @@ class FocalChange:
         "c1" or "c2".
     between
         What the images differ in: a kind of images ("pair", "row"), or "distance".
+    together
+        Whether that of the other camera was estimated with it, as one alone does not explain it.
     change, std
         Relative change, and its standard uncertainty; over the distances that occur, from the
         farthest board to the nearest.
@@ -44,6 +55,7 @@ class FocalChange:
     between: str
     change: float
     std: float
+    together: bool = False
 
 
 def focal_changes(joint: JointSolve) -> tuple[FocalChange, ...]:
@@ -51,22 +63,25 @@ def focal_changes(joint: JointSolve) -> tuple[FocalChange, ...]:
     images = joint.problem.images
     kinds = np.array(images.kinds)
     used = finite(joint.residuals).any(axis=-1)
-    found = []
-    for c in (0, 1):
-        own = (images.camera == c) & used
-        if not joint.problem.free[c] or not own.any():
-            continue
-        for kind in ("pair", "row"):
+    owned = {c: (images.camera == c) & used for c in (0, 1) if joint.problem.free[c]}
+    found: list[FocalChange] = []
+    for kind in ("pair", "row"):
+        told = {}
+        for c, own in owned.items():
             chosen = own & (kinds == kind)
             others = int(own.sum() - chosen.sum())
             if min(int(chosen.sum()), others) >= MIN_IMAGES:
-                found += _change(joint, c, _by_view(joint, chosen, np.ones(len(own))), kind)
-        near = 1 / _distances(joint)[images.view]
-        span = float(np.ptp(near[own]))
-        if span > 0:
-            x = (near - near[own].mean()) / span
-            found += _change(joint, c, _by_view(joint, own, x), "distance")
-    return tuple(found)
+                told[c] = _by_view(joint, chosen, np.ones(len(own)))
+        found += _changes(joint, told, kind)
+    near = 1 / _distances(joint)[images.view]
+    spans = {c: float(np.ptp(near[own])) if own.any() else 0.0 for c, own in owned.items()}
+    told = {
+        c: _by_view(joint, owned[c], (near - near[owned[c]].mean()) / span)
+        for c, span in spans.items()
+        if span > 0
+    }
+    found += _changes(joint, told, "distance")
+    return tuple(sorted(found, key=lambda change: change.camera))
 
 
 def _distances(joint: JointSolve) -> FloatArray:
@@ -83,24 +98,73 @@ def _by_view(joint: JointSolve, chosen: BoolArray, x: FloatArray) -> FloatArray:
     return values
 
 
-def _change(joint: JointSolve, camera: int, x: FloatArray, between: str) -> list[FocalChange]:
-    """Return the change with covariate x of each view; none where nothing tells it."""
-    reduced = joint.reduced
-    direction = np.zeros(joint.problem.size)
-    direction[joint.problem.at_lens(camera)[:2]] = reduced.at.shared[
-        joint.problem.at_lens(camera)[:2]
+def _changes(joint: JointSolve, told: dict[int, FloatArray], between: str) -> list[FocalChange]:
+    """Return the change of each camera with its covariate by view; none that nothing tells.
+
+    That of each alone, unless both together explain the images better beyond doubt.
+    """
+    alone = {c: _estimate(joint, {c: x}) for c, x in told.items()}
+    single = {c: found for c, found in alone.items() if found is not None}
+    both = _estimate(joint, told) if len(single) > 1 else None
+    if both is not None:
+        gain = both.squares / both.factors.max() - max(
+            float(one.squares / one.factors[0]) for one in single.values()
+        )
+        if gain > BOTH_GAIN:
+            return [
+                FocalChange(f"c{c + 1}", between, float(b), float(u), together=True)
+                for c, b, u in zip(told, both.beta, both.std, strict=True)
+            ]
+    return [
+        FocalChange(f"c{c + 1}", between, float(one.beta[0]), float(one.std[0]))
+        for c, one in single.items()
     ]
-    along = reduced.normals @ direction
-    mixed = x @ along
-    plain = float(np.sum(x**2 * (along @ direction)))
-    information = plain - float(mixed @ reduced.spread() @ mixed)
-    if information <= 1e-9 * plain or plain == 0:
-        return []
-    beta = -float(x @ (reduced.scores @ direction)) / information
-    # The views contradict each other by this change, too: the factor is that which is left of it.
-    moved = beta * (x[:, None] * direction - reduced.spread() @ mixed)
+
+
+def _estimate(joint: JointSolve, told: dict[int, FloatArray]) -> Estimate | None:
+    """Return the changes of focal length of the cameras together; None where they stay open."""
+    at = [joint.problem.at_lens(c) for c in told]
+    way = np.zeros((len(told), joint.problem.images.views, joint.problem.size))
+    for k, x in enumerate(told.values()):
+        way[k][:, at[k][:2]] = x[:, None] * joint.reduced.at.shared[at[k][:2]]
+    return estimate(joint, way, at)
+
+
+class Estimate(NamedTuple):
+    """Changes along k ways, their u with dispersion, the factors, and chi squared without."""
+
+    beta: FloatArray
+    std: FloatArray
+    factors: FloatArray
+    squares: float
+
+
+def estimate(joint: JointSolve, way: FloatArray, at: list[IntArray]) -> Estimate | None:
+    """Return the changes along ways together; None where something leaves them open.
+
+    Parameters
+    ----------
+    way
+        How the shared unknowns of each view change with 1 along each way, shape (k, v, n).
+    at
+        Places of the unknowns in which the views' disagreement counts, of each way.
+    """
+    reduced, spread = joint.reduced, joint.reduced.spread()
+    along = np.einsum("vij,kvj->kvi", reduced.normals, way)
+    mixed = along.sum(axis=1)
+    plain = np.einsum("kvi,lvi->kl", along, way)
+    information = plain - mixed @ spread @ mixed.T
+    scale = np.sqrt(np.diag(plain))
+    if not np.all(scale > 0):
+        return None
+    if np.linalg.eigvalsh(information / np.outer(scale, scale))[0] <= TOLD_LEAST:
+        return None
+    variance = np.linalg.inv(information)
+    beta = -variance @ np.einsum("kvi,vi->k", way, reduced.scores)
+    # The views contradict each other by these changes, too: the factor is that of what is left.
+    moved = np.einsum("k,kvi->vi", beta, way) - spread @ (beta @ mixed)
     scores = reduced.scores + np.einsum("vij,vj->vi", reduced.normals, moved)
-    at = joint.problem.at_lens(camera)
-    factor = dispersion(replace(reduced, scores=scores), at, joint.clusters)
-    std = float(np.sqrt(factor / information))
-    return [FocalChange(f"c{camera + 1}", between, beta, std)]
+    left = replace(reduced, scores=scores)
+    factors = np.array([dispersion(left, own, joint.clusters) for own in at])
+    std = np.sqrt(factors * np.diag(variance))
+    return Estimate(beta, std, factors, float(beta @ information @ beta))

@@ -7,6 +7,7 @@ in C1 where C1 sees it or both do, in C2 where C2 sees it alone.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import cv2
@@ -15,6 +16,7 @@ import numpy as np
 from calib.core.arrays import BoolArray, FloatArray, IntArray
 from calib.geometry.camera import Camera, camera_from_vector, intrinsic_vector
 from calib.geometry.poses import rotation
+from calib.images.board_errors import BoardSums, Equations
 from calib.images.bundle import deformed, project_points
 from calib.images.joint.reduced import Unknowns, ViewNormals
 
@@ -140,8 +142,6 @@ def normals_of(problem: JointProblem, at: Unknowns, weight: FloatArray) -> ViewN
         Of each corner, 1/px^2, shape (i, corners); 0 leaves it out.
     """
     images, n = problem.images, problem.size
-    by_shared, by_own = _point_derivatives(problem, at)
-    seen = _in_cameras(problem, at)
     sums = ViewNormals(
         np.zeros((images.views, n, n)),
         np.zeros((images.views, n, POSE)),
@@ -151,6 +151,29 @@ def normals_of(problem: JointProblem, at: Unknowns, weight: FloatArray) -> ViewN
         0.0,
     )
     cost = 0.0
+    for found in _equations(problem, at, weight):
+        _add(sums, found)
+        cost += float(np.sum(found.off**2))
+    return sums._replace(cost=cost)
+
+
+def board_covariance(problem: JointProblem, at: Unknowns, weight: FloatArray) -> FloatArray:
+    """Return what errors of the board add to the covariance of the shared unknowns, (n, n).
+
+    At the minimum; `weight` as in `normals_of`. See `calib.images.board_errors`.
+    """
+    sums = BoardSums(problem.images.views, len(problem.points), problem.size)
+    for found in _equations(problem, at, weight):
+        sums.add(found)
+    return sums.covariance(problem.points)
+
+
+def _equations(problem: JointProblem, at: Unknowns, weight: FloatArray) -> Iterator[Equations]:
+    """Yield the whitened equations of the images, camera by camera; residuals are minus r."""
+    images = problem.images
+    by_shared, by_own = _point_derivatives(problem, at)
+    by_place = _turns(problem, at)
+    seen = _in_cameras(problem, at)
     for c in (0, 1):
         own = np.flatnonzero(images.camera == c)
         if not len(own):
@@ -165,24 +188,34 @@ def normals_of(problem: JointProblem, at: Unknowns, weight: FloatArray) -> ViewN
         if problem.free[c]:
             lens = view.by_intrinsics.reshape(*off.shape, -1) * root[..., None]
             shared[..., problem.at_lens(c)] = lens
-        _add(sums, images.view[own], off * root, shared, by_point @ by_own[own])
-        cost += float(np.sum((off * root) ** 2))
-    return sums._replace(cost=cost)
+        yield Equations(
+            images.view[own],
+            off * root,
+            shared,
+            by_point @ by_own[own],
+            by_point @ by_place[own][:, None],
+        )
 
 
-def _add(
-    sums: ViewNormals, view: IntArray, off: FloatArray, shared: FloatArray, own: FloatArray
-) -> None:
-    """Add the equations of images, whitened, to those of their views."""
-    rows = off.shape[1] * off.shape[2]
-    r = off.reshape(len(off), rows, 1)
-    a, b = shared.reshape(len(off), rows, -1), own.reshape(len(off), rows, -1)
+def _add(sums: ViewNormals, found: Equations) -> None:
+    """Add the equations of images to those of their views."""
+    rows = found.off.shape[1] * found.off.shape[2]
+    r = found.off.reshape(len(found.off), rows, 1)
+    a, b = (v.reshape(len(r), rows, -1) for v in (found.by_shared, found.by_pose))
     at, bt = a.swapaxes(-1, -2), b.swapaxes(-1, -2)
-    np.add.at(sums.shared, view, at @ a)
-    np.add.at(sums.mixed, view, at @ b)
-    np.add.at(sums.own, view, bt @ b)
-    np.add.at(sums.shared_gradient, view, (at @ r)[..., 0])
-    np.add.at(sums.own_gradient, view, (bt @ r)[..., 0])
+    np.add.at(sums.shared, found.view, at @ a)
+    np.add.at(sums.mixed, found.view, at @ b)
+    np.add.at(sums.own, found.view, bt @ b)
+    np.add.at(sums.shared_gradient, found.view, (at @ r)[..., 0])
+    np.add.at(sums.own_gradient, found.view, (bt @ r)[..., 0])
+
+
+def _turns(problem: JointProblem, at: Unknowns) -> FloatArray:
+    """Return the rotation camera from board of each image, shape (i, 3, 3)."""
+    turns = np.stack([rotation(pose[:3]) for pose in at.own])[problem.images.view]
+    pair = problem.images.in_pair
+    turns[pair] = rotation(-at.shared[problem.at_pose][:3]) @ turns[pair]
+    return turns
 
 
 def _in_cameras(problem: JointProblem, at: Unknowns) -> FloatArray:

@@ -19,16 +19,12 @@ import numpy as np
 
 from calib.core.arrays import FloatArray, IntArray
 from calib.core.errors import EstimationError
-from calib.images.bundle import DONE, MAX_STEPS, inverse, proven
-from calib.images.repeats import summed
+from calib.images.bundle import DONE, MAX_STEPS, inverse
+from calib.images.disagreement import view_factor
 
 _FIRST_DAMPING = 1e-4
 _MAX_DAMPING = 1e12
 _POLISHING_STEPS = 4
-
-
-OPEN = 1e-10
-"""Share of the greatest information, unknowns scaled, below which a direction counts as open."""
 
 
 class ViewNormals(NamedTuple):
@@ -124,29 +120,10 @@ def minimise_views(
 def dispersion(reduced: Reduced, columns: IntArray, clusters: IntArray) -> float:
     """Return how much more views contradict each other than independent noise explains.
 
-    In the shared unknowns `columns`, the others eliminated; as `calib.images.bundle.dispersion`,
-    with the cluster of each view. Directions that the views leave open are left out.
+    In the shared unknowns `columns`, the others eliminated; see
+    `calib.images.disagreement.view_factor`.
     """
-    matrix = reduced.normals.sum(axis=0)
-    others = np.setdiff1d(np.arange(len(matrix)), columns)
-    own = np.zeros((len(columns), len(matrix)))
-    own[np.arange(len(columns)), columns] = 1.0
-    if len(others):
-        own[:, others] = -matrix[np.ix_(columns, others)] @ inverse(matrix[np.ix_(others, others)])
-    marginal = own @ matrix @ own.T
-    scale = np.sqrt(np.diag(marginal))
-    value, vector = np.linalg.eigh(marginal / np.outer(scale, scale))
-    shown = value > OPEN * value[-1]
-    root = own.T @ (vector[:, shown] / np.sqrt(value[shown]) / scale[:, None])
-    spread = reduced.spread()
-    scores, normals = summed(reduced.scores, clusters), summed(reduced.normals, clusters)
-    found = float(((scores @ root) ** 2).sum())
-    share = root.T @ (normals - normals @ spread @ normals) @ root
-    expected = float(np.trace(share, axis1=-2, axis2=-1).sum())
-    square = float((share**2).sum())
-    if expected <= OPEN:
-        return 1.0
-    return proven(found / expected, freedom=expected**2 / square)
+    return view_factor(reduced.normals, reduced.scores, columns, clusters)
 
 
 def _moved(at: Unknowns, step: Unknowns) -> Unknowns:

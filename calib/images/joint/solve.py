@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
@@ -17,7 +18,7 @@ from calib.core.arrays import BoolArray, FloatArray, IntArray
 from calib.geometry.camera import Camera
 from calib.images.bundle import finite
 from calib.images.checks import OUTLIER_SIGMAS, SIGMA_OF_MEDIAN
-from calib.images.joint.model import POSE, JointProblem, normals_of, residuals_of
+from calib.images.joint.model import POSE, JointProblem, board_covariance, normals_of, residuals_of
 from calib.images.joint.reduced import (
     Reduced,
     Unknowns,
@@ -51,6 +52,30 @@ LEAST_SIGMA_PX = 1e-6
 _ROUNDS = 12
 
 
+class ImagesByView(Protocol):
+    """Images of a board by view, as `calib.images.joint.model.BoardImages` has them."""
+
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        """What each was taken for."""
+
+    @property
+    def camera(self) -> IntArray:
+        """0 for C1, 1 for C2, shape (i,)."""
+
+    @property
+    def view(self) -> IntArray:
+        """Which view each shows, shape (i,)."""
+
+    @property
+    def pixels(self) -> FloatArray:
+        """Corners found, px, shape (i, corners, 2)."""
+
+    @property
+    def views(self) -> int:
+        """Number of views."""
+
+
 @dataclass(frozen=True)
 class JointSolve:
     """What all images together say.
@@ -68,7 +93,7 @@ class JointSolve:
     board_warp_mm
         Bow of the board along x and y, mm.
     covariance
-        Of the shared unknowns, with the factors, shape (n, n).
+        Of the shared unknowns, with the factors and the board's errors, shape (n, n).
     factors
         On the variances of the intrinsics of C1, of C2 (1 where given) and of the pose of C2.
     clusters
@@ -122,41 +147,41 @@ def solve_joint(problem: JointProblem, start: Unknowns) -> JointSolve:
     EstimationError
         If there is no minimum, or the images leave an unknown open.
     """
-    labels, groups = _groups(problem)
+    labels, groups = groups_of(problem.images)
     used = finite(problem.images.pixels)
     at, residuals = start, residuals_of(problem, start)
-    sigma = _robust_sigmas(residuals, used, groups)
+    sigma = robust_sigmas(residuals, used, groups)
     searching = True
     for _ in range(_ROUNDS):
-        weight = _weights(residuals, used, sigma[groups], bounded=searching)
+        weight = weights_of(residuals, used, sigma[groups], bounded=searching)
         reduced = minimise_views(_evaluation(problem, weight), at)
         at, residuals = reduced.at, residuals_of(problem, reduced.at)
-        kept = _without_outliers(residuals, used, groups)
+        kept = without_outliers(residuals, used, groups)
         settled = np.array_equal(kept, used)
         if settled and not searching:
-            found = _sigmas(problem, reduced, residuals, used, groups)
+            found = sigmas_of(problem.images, reduced, residuals, used, groups)
             if np.all(np.abs(found / sigma - 1) < VARIANCE_CHANGE):
                 break
             sigma = found
         else:
             used, searching = kept, not settled
-            sigma = _robust_sigmas(residuals, used, groups)
-    return _result(problem, reduced, residuals, used, dict(zip(labels, sigma, strict=True)))
+            sigma = robust_sigmas(residuals, used, groups)
+    sigma_px = dict(zip(labels, (float(v) for v in sigma), strict=True))
+    return _result(problem, reduced, residuals, used, weight, sigma_px)
 
 
 def _evaluation(problem: JointProblem, weight: FloatArray) -> Callable[[Unknowns], ViewNormals]:
     return lambda at: normals_of(problem, at, weight)
 
 
-def _groups(problem: JointProblem) -> tuple[tuple[str, ...], IntArray]:
+def groups_of(images: ImagesByView) -> tuple[tuple[str, ...], IntArray]:
     """Return names of the groups, camera and kind, and that of each image, shape (i,)."""
-    images = problem.images
     own = [f"c{c + 1} {kind}" for c, kind in zip(images.camera, images.kinds, strict=True)]
     names, place = np.unique(own, return_inverse=True)
     return tuple(str(name) for name in names), place
 
 
-def _weights(
+def weights_of(
     residuals: FloatArray, used: BoolArray, sigma: FloatArray, *, bounded: bool
 ) -> FloatArray:
     """Return the weight of each corner, 1/px^2, shape (i, corners).
@@ -175,7 +200,7 @@ def _weights(
     return weight
 
 
-def _robust_sigmas(residuals: FloatArray, used: BoolArray, groups: IntArray) -> FloatArray:
+def robust_sigmas(residuals: FloatArray, used: BoolArray, groups: IntArray) -> FloatArray:
     """Return standard deviations of the groups, px, from the median of absolute residuals."""
     size = np.where(used[..., None], np.abs(residuals), np.nan)
     sigma = np.full(int(groups.max()) + 1, SIGMA_OF_MEDIAN * float(np.nanmedian(size)))
@@ -186,8 +211,8 @@ def _robust_sigmas(residuals: FloatArray, used: BoolArray, groups: IntArray) -> 
     return _rounded(np.maximum(sigma, LEAST_SIGMA_PX))
 
 
-def _sigmas(
-    problem: JointProblem,
+def sigmas_of(
+    images: ImagesByView,
     reduced: Reduced,
     residuals: FloatArray,
     used: BoolArray,
@@ -199,10 +224,10 @@ def _sigmas(
     ones, tr(C N_v), C being their covariance and N_v its normal matrix; its images share this by
     their coordinates.
     """
-    view = problem.images.view
+    view = images.view
     taken = POSE + np.einsum("ij,vji->v", reduced.spread(), reduced.normals)
     count = 2.0 * used.sum(axis=-1)
-    whole = np.bincount(view, count, minlength=problem.images.views)[view]
+    whole = np.bincount(view, count, minlength=images.views)[view]
     redundancy = count - np.where(count > 0, taken[view] * count / np.maximum(whole, 1.0), 0.0)
     square = np.where(used[..., None], residuals, 0.0) ** 2
     square_sum = square.sum(axis=(1, 2))
@@ -221,10 +246,10 @@ def _rounded(sigma: FloatArray) -> FloatArray:
     return np.array([float(f"{value:.2e}") for value in sigma])
 
 
-def _without_outliers(residuals: FloatArray, used: BoolArray, groups: IntArray) -> BoolArray:
+def without_outliers(residuals: FloatArray, used: BoolArray, groups: IntArray) -> BoolArray:
     """Return which corners, shape (i, corners), to use next."""
     size = np.where(used, np.abs(residuals).max(axis=-1), 0.0)
-    limit = OUTLIER_SIGMAS * _robust_sigmas(residuals, used, groups)[groups][:, None]
+    limit = OUTLIER_SIGMAS * robust_sigmas(residuals, used, groups)[groups][:, None]
     kept: BoolArray = used & (
         size <= np.maximum(limit, PEEL_SHARE * size.max(axis=-1, keepdims=True))
     )
@@ -233,13 +258,12 @@ def _without_outliers(residuals: FloatArray, used: BoolArray, groups: IntArray) 
     return kept
 
 
-def _clusters(problem: JointProblem) -> IntArray:
+def clusters_of(images: ImagesByView, points: FloatArray) -> IntArray:
     """Return the cluster of each view, shape (v,): views that repeat each other in a camera."""
-    images = problem.images
     leader = np.arange(images.views)
     for c in (0, 1):
         own = np.flatnonzero(images.camera == c)
-        clusters = repeat_clusters(images.pixels[own], problem.points)
+        clusters = repeat_clusters(images.pixels[own], points)
         for k in np.unique(clusters):
             members = leader[images.view[own[clusters == k]]]
             leader[np.isin(leader, members)] = members.min()
@@ -252,11 +276,12 @@ def _result(
     reduced: Reduced,
     residuals: FloatArray,
     used: BoolArray,
+    weight: FloatArray,
     sigma_px: dict[str, float],
 ) -> JointSolve:
     x, spread = reduced.at.shared, reduced.spread()
     blocks = (problem.at_lens(0), problem.at_lens(1), problem.at_pose)
-    clusters = _clusters(problem)
+    clusters = clusters_of(problem.images, problem.points)
     factors = tuple(dispersion(reduced, b, clusters) if len(b) else 1.0 for b in blocks)
     scale = np.ones(problem.size)
     for block, factor in zip(blocks, factors, strict=True):
@@ -268,7 +293,7 @@ def _result(
         cameras=(problem.camera_at(x, 0), problem.camera_at(x, 1)),
         pose_12=x[problem.at_pose],
         board_warp_mm=(bow_x, bow_y),
-        covariance=spread * np.outer(scale, scale),
+        covariance=spread * np.outer(scale, scale) + board_covariance(problem, reduced.at, weight),
         factors=(factors[0], factors[1], factors[2]),
         clusters=clusters,
         sigma_px={name: float(s) for name, s in sigma_px.items()},

@@ -1,0 +1,91 @@
+"""What must hold before the adjustment is used."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from calib.core.gate import Gate
+from calib.images.adjustment.solve import Solution
+from calib.images.bundle import finite
+from calib.images.checks import fit_gate, gate
+from calib.images.mrcal.solves import MIN_CORNERS
+from calib.images.sweep.yaw_axis import READING_LIMIT, SMALL_READING_ERROR_RAD
+
+LEFT_OUT_LIMIT = 0.1
+"""Pictures left out whole; of real pictures one or two in a hundred are (a board that moved)."""
+
+NAMED = 10
+"""Pictures named at most."""
+
+FACTOR_LIMIT = 100.0
+"""By which views may contradict each other in the rig, in variances of corner noise: corners of
+real boards reach 2 to 20 (light, blur, a board not quite a parabola). At 100 something moved."""
+
+
+def adjustment_gates(found: Solution, stated_rad: float) -> tuple[Gate, ...]:
+    """Return the gates.
+
+    Parameters
+    ----------
+    stated_rad
+        Standard uncertainty that is stated for a reading.
+    """
+    left = left_out(found)
+    rejected = found.rejected.sum(axis=1)
+    rejected[left] = 0
+    count = len(found.problem.pictures.names)
+    return (
+        fit_gate(
+            "adjustment-fit",
+            found.residuals,
+            int(rejected.sum()),
+            remedy="check that each board was at rest, the readings, and the counts of [board]",
+        ),
+        _pictures_gate(found, left, count),
+        _views_gate(found),
+        _readings_gate(found, stated_rad),
+    )
+
+
+def left_out(found: Solution) -> list[int]:
+    """Return places of the pictures that were left out whole."""
+    kept = finite(found.residuals).sum(axis=-1)
+    return [int(i) for i in np.flatnonzero(kept < MIN_CORNERS)]
+
+
+def _pictures_gate(found: Solution, left: list[int], count: int) -> Gate:
+    names = [found.problem.pictures.names[i] for i in left]
+    more = ", ..." if len(names) > NAMED else ""
+    named = f" and were left out: {', '.join(names[:NAMED])}{more}" if names else ""
+    return gate(
+        "adjustment-pictures",
+        len(left) <= LEFT_OUT_LIMIT * count,
+        f"{len(left)} of {count} pictures contradict the others{named}",
+        remedy="check that these boards were at rest and their readings",
+    )
+
+
+def _views_gate(found: Solution) -> Gate:
+    factor = found.factors[2]
+    return gate(
+        "adjustment-views",
+        factor <= FACTOR_LIMIT,
+        f"views contradict each other in the rig by {np.sqrt(factor):.2f} times what corner noise "
+        f"explains (limit {np.sqrt(FACTOR_LIMIT):g}); its uncertainties contain that",
+        remedy="check that the cameras kept their places and lenses between the pictures",
+    )
+
+
+def _readings_gate(found: Solution, stated_rad: float) -> Gate:
+    errors = np.abs(found.reading_errors_rad)
+    worst = int(np.argmax(errors))
+    pictures = found.problem.pictures
+    name = pictures.names[int(np.argmax(pictures.exposure == worst))]
+    limit = max(READING_LIMIT * stated_rad, SMALL_READING_ERROR_RAD)
+    return gate(
+        "adjustment-readings",
+        float(errors[worst]) <= limit,
+        f"readings differ by {np.degrees(errors[worst]):.3f} deg at most from where C2 stands in "
+        f"the pictures, in {name} (limit {np.degrees(limit):.3f})",
+        remedy="check alpha2_deg of this picture first, or state u_alpha2_deg in [encoder]",
+    )

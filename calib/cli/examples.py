@@ -35,7 +35,6 @@ EXAMPLES: Mapping[str, tuple[str, ...]] = {
     "calib capture stereo": ("calib capture stereo datasets/my-rig --rig rig.toml",),
     "calib capture sweep": ("calib capture sweep datasets/my-rig --rig rig.toml",),
     "calib capture gaze": ("calib capture gaze datasets/my-rig --count 20",),
-    "calib capture intrinsics": ("calib capture intrinsics datasets/my-rig --rig rig.toml",),
     "calib capture validation": ("calib capture validation datasets/my-rig --count 10",),
     "calib gaze": ("calib gaze reports/my-rig/calibration.json --count 10 --out positions.csv",),
     "calib live": ("calib live --rig rig.toml --dataset datasets/my-rig",),

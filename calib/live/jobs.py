@@ -139,7 +139,7 @@ def _capture(bench: Bench, job: Capture) -> None:
         if manifest is not None:
             refuse_other(manifest, known)
         capture = CaptureSettings(
-            gazer=bench.gazer(at, lens_c2(known, manifest)),
+            gazer=bench.gazer(at, lens_c2(known, manifest, folder)),
             hand=_StoppableHand(bench, bench.hand(job.target)),
             folder=folder,
             known=known,

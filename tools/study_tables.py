@@ -17,7 +17,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from calib.study.conditions import CONDITIONS, GROUPS
+from calib.simulate.faults import FAULTS
+from calib.study.conditions import CONDITIONS, GROUPS, MISTAKES
+from calib.study.faults import ROW_COUNTS
 from calib.study.scores import RASH
 
 DOCS = Path(__file__).parents[1] / "docs"
@@ -138,10 +140,10 @@ def broken() -> str:
     return _table(("assumption", "broken by", *DEPTH_HEADS), rows)
 
 
-def claims() -> str:
-    """Return the table of claims with the worst score of each."""
+def claims(folder: str = "default") -> str:
+    """Return the table of a study's claims with the worst score of each."""
     rows = []
-    for claim in Study(DOCS / "study" / "default").document["claims"]:
+    for claim in Study(DOCS / "study" / folder).document["claims"]:
         worst = claim["worst"]
         error = "" if worst["std_error"] is None else f" ± {worst['std_error']:.2g}"
         verdict = "held" if claim["held"] else "broken" if claim["broken"] else "open"
@@ -167,12 +169,46 @@ def efficiency() -> str:
     return _table(("rigs", "parameter", "robust fit", "posterior mean", "linear fit"), rows)
 
 
+def mistakes() -> str:
+    """Return the table of mistakes that matter, by the number of rows."""
+    study = Study(DOCS / "study" / "faults")
+    rows = []
+    for count in ROW_COUNTS:
+        subject = f"{count} rows"
+        shares = ("named", "wrong_name", "in_evidence", "named_in_evidence")
+        cells = [study.percent(MISTAKES, subject, "", share, digits=0) for share in shares]
+        rows.append([str(count), str(study.rigs(MISTAKES, subject, "", "named")), *cells])
+    heads = ("rows", "mistakes that matter", "named", "wrong name", "in evidence",
+             "named, of those in evidence")  # fmt: skip
+    return _table(heads, rows)
+
+
+def by_mistake() -> str:
+    """Return the table of mistakes that matter, by their names, and of rigs without one."""
+    study = Study(DOCS / "study" / "faults")
+    rows = []
+    for fault in FAULTS:
+        key = (MISTAKES, fault, "", "named")
+        if study.rigs(*key):
+            rows.append([f"`{fault}`", str(study.rigs(*key)), study.percent(*key, digits=0)])
+    clean = "clean rigs"
+    rows.append([
+        "none made, any named",
+        str(study.rigs(MISTAKES, clean, "", "false_names")),
+        study.percent(MISTAKES, clean, "", "false_names"),
+    ])  # fmt: skip
+    return _table(("mistake", "cases", "named"), rows)
+
+
 TABLES: dict[str, Callable[[], str]] = {
     "expected": expected,
     "doubtful": doubtful,
     "broken": broken,
     "claims": claims,
     "efficiency": efficiency,
+    "mistakes": mistakes,
+    "by_mistake": by_mistake,
+    "mistake_claims": lambda: claims("faults"),
 }
 
 

@@ -7,18 +7,23 @@ import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal, TypeAlias
 from urllib.parse import quote
 
 from calib.batch.task import Ending, Outcome
 from calib.core.errors import CalibError, harmless
 from calib.history.drift import EFFECTIVE
-from calib.history.read import read_run
+from calib.history.read import RESULT, read_run
+from calib.instrument.calibration_file import read_whole
 from calib.report.plain_page import Block, Cell, Link, Paragraph, PlainTable, State, plain_page
 from calib.stages.manifest import faults
 
 GENERATOR = "calib batch"
 
 DOCUMENTS = ("report.html", "certificate.html")
+
+Result: TypeAlias = Ending | Literal["contradicted"]
+"""A run is contradicted if its gates passed and its validation reference disagrees all the same."""
 
 
 @dataclass(frozen=True)
@@ -32,14 +37,14 @@ class Line:
     figures
         As printed, by column; none where the run has no gaze calibration.
     remarks
-        Gates that failed, or what the run said.
+        Gates that failed, references that contradict the depths, or what the run said.
     documents
         That are there to be read.
     """
 
     dataset: str
     folder: str
-    ending: Ending
+    result: Result
     figures: dict[str, str]
     remarks: tuple[str, ...]
     documents: tuple[str, ...]
@@ -73,16 +78,21 @@ def line_of(outcome: Outcome, out: Path) -> Line:
         "" if u is None else f"{u:.2g}",
     )  # fmt: skip
     figures = dict(zip(COLUMNS, cells, strict=True))
-    remarks = tuple(f"gate {name}" for name in run.failed)
-    return Line(outcome.task.dataset, relative, outcome.ending, figures, remarks, documents)
+    against = tuple(map(str, read_whole(folder / RESULT)[1].get("contradictions", ())))
+    remarks = (*(f"gate {name}" for name in run.failed), *against)
+    result: Result = outcome.ending
+    if against and result == "passed":
+        result = "contradicted"
+    return Line(outcome.task.dataset, relative, result, figures, remarks, documents)
 
 
 def counts(lines: Sequence[Line]) -> str:
     """Return how many ended how, in words."""
-    kinds: tuple[Ending, ...] = ("passed", "gates failed", "refused", "crashed")
-    numbers = {kind: sum(line.ending == kind for line in lines) for kind in kinds}
+    kinds: tuple[Result, ...] = ("passed", "contradicted", "gates failed", "refused", "crashed")
+    numbers = {kind: sum(line.result == kind for line in lines) for kind in kinds}
     said = ", ".join(f"{number} {kind}" for kind, number in numbers.items() if number)
-    return f"{len(lines)} datasets: {said}"
+    noun = "dataset" if len(lines) == 1 else "datasets"
+    return f"{len(lines)} {noun}: {said}"
 
 
 def csv_text(lines: Sequence[Line]) -> str:
@@ -92,7 +102,7 @@ def csv_text(lines: Sequence[Line]) -> str:
     writer.writerow(["dataset", "result", *COLUMNS, "run", "remarks"])
     for line in lines:
         figures = [line.figures.get(name, "") for name in COLUMNS]
-        row = [line.dataset, line.ending, *figures, line.folder, "; ".join(line.remarks)]
+        row = [line.dataset, line.result, *figures, line.folder, "; ".join(line.remarks)]
         # A name that a spreadsheet would compute is kept as text.
         cells = map(harmless, row)
         writer.writerow([f"'{cell}" if cell[:1] in tuple("=+-@") else cell for cell in cells])
@@ -101,16 +111,16 @@ def csv_text(lines: Sequence[Line]) -> str:
 
 def page(lines: Sequence[Line]) -> str:
     """Return the table as a page, what went wrong first."""
-    order = ("crashed", "refused", "gates failed", "passed")
+    order = ("crashed", "refused", "gates failed", "contradicted", "passed")
     rows: list[list[Cell]] = [
         [
             line.folder,
-            State(line.ending, line.ending == "passed"),
+            State(line.result, line.result == "passed"),
             *(line.figures.get(name, "") for name in COLUMNS),
             tuple(Link(_title(name), quote(f"{line.folder}/{name}")) for name in line.documents),
             "; ".join(line.remarks),
         ]
-        for line in sorted(lines, key=lambda line: order.index(line.ending))
+        for line in sorted(lines, key=lambda line: order.index(line.result))
     ]
     head = ["dataset", "result", *COLUMNS, "documents", "remarks"]
     blocks: list[Block] = [Paragraph(f"{counts(lines)}."), PlainTable("", head, rows)]

@@ -70,7 +70,8 @@ def run(arguments: argparse.Namespace) -> int:
         done += 1
         console.close()
         name = harmless(outcome.task.dataset)
-        print(f"  {done} of {len(tasks)}  {outcome.ending}: {name}", file=sys.stderr)
+        result = line_of(outcome, arguments.out).result
+        print(f"  {done} of {len(tasks)}  {result}: {name}", file=sys.stderr)
         for line in outcome.said:
             print(f"      {harmless(line)}", file=sys.stderr)
         console.progress("datasets", done, len(tasks))

@@ -195,6 +195,8 @@ def _document(c: Calibration) -> dict[str, Any]:
         document["not_fitted"] = document.get("not_fitted", {}) | refused
     document["gates"] = [vars(gate) for gate in c.gates]
     document["warnings"] = [*c.disagreements, *c.warnings]
+    if c.disagreements:
+        document["contradictions"] = list(c.disagreements)
     return with_digest(_clean(document))
 
 

@@ -440,4 +440,8 @@ class Document(Part):
     not_fitted: dict[str, str] | None = None
     gates: list[GatePart]
     warnings: list[str]
+    contradictions: list[str] | None = Field(
+        default=None,
+        description="of the warnings, those of a validation reference that contradicts the depths",
+    )
     integrity: Integrity

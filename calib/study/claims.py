@@ -20,6 +20,10 @@ CLEARLY = 2.5
 some forty scores of honest estimators right at a limit, one in four studies shows one that far."""
 
 
+LEAST_RIGS = 20
+"""Of fewer rigs a standard error is itself too uncertain to call a claim broken."""
+
+
 @dataclass(frozen=True)
 class Claim:
     """A statement about all scores of one kind.
@@ -58,8 +62,8 @@ class Verdict:
     held
         Whether every score lies within the limits.
     broken
-        Whether a score lies beyond a limit by more than `CLEARLY` standard errors; if neither, more
-        rigs must decide.
+        Whether a score of `LEAST_RIGS` or more lies beyond a limit by more than `CLEARLY` standard
+        errors; if neither, more rigs must decide.
     worst
         The score nearest to a limit, or farthest beyond one.
     low, high
@@ -133,7 +137,9 @@ def _verdict(claim: Claim, scores: Sequence[Score]) -> Verdict | None:
         return None
     worst = max(meant, key=lambda s: _beyond(claim, s))
     held = all(_beyond(claim, s) <= 0 for s in meant)
-    broken = any(_beyond(claim, s) > CLEARLY * (s.std_error or 0.0) for s in meant)
+    broken = any(
+        s.rigs >= LEAST_RIGS and _beyond(claim, s) > CLEARLY * (s.std_error or 0.0) for s in meant
+    )
     low, high = (limit if np.isfinite(limit) else None for limit in (claim.low, claim.high))
     return Verdict(claim.name, held, broken and not held, worst, low, high)
 
@@ -157,4 +163,6 @@ def verdict_text(verdict: Verdict) -> str:
     s, mark = verdict.worst, "held  " if verdict.held else "BROKEN" if verdict.broken else "open  "
     error = "" if s.std_error is None else f" +- {s.std_error:.2g}"
     who = " ".join(part for part in (s.condition, s.subject, s.estimator) if part)
-    return f"{mark}  {verdict.claim}: {s.value:.3g}{error} ({who}, {s.rigs} rigs)"
+    rigs = f"{s.rigs} rig{'' if s.rigs == 1 else 's'}"
+    few = ", too few to tell" if s.rigs < LEAST_RIGS and not verdict.held else ""
+    return f"{mark}  {verdict.claim}: {s.value:.3g}{error} ({who}, {rigs}{few})"

@@ -110,6 +110,21 @@ def _mean(values: FloatArray) -> tuple[float, float | None]:
     return float(values.mean()), error
 
 
+def _fraction(values: FloatArray) -> tuple[float, float | None]:
+    """Return the mean of shares in 0 to 1 and its standard error.
+
+    Where all are 0, or all 1, they have no scatter and the mean is uncertain all the same: the
+    error is then that of two more rigs of either kind (Agresti and Coull 1998, doi
+    10.1080/00031305.1998.10480550).
+    """
+    mean, error = _mean(values)
+    if error == 0 and mean in (0.0, 1.0):
+        count = len(values) + 4
+        share = (mean * len(values) + 2) / count
+        error = float(np.sqrt(share * (1 - share) / count))
+    return mean, error
+
+
 def _rms(values: FloatArray) -> tuple[float, float | None]:
     """Return the root mean square and its standard error."""
     square, error = _mean(values**2)
@@ -185,7 +200,7 @@ def _coverage(
     """Yield how often central intervals hold the truth; rigs are independent, depths are not."""
     for level in LEVELS:
         hits = np.array([np.mean(np.abs(np.array(r) - 0.5) <= level / 2) for r in ranks if r])
-        value, error = _mean(hits)
+        value, error = _fraction(hits)
         statistic = f"coverage{100 * level:.0f}"
         yield Score(name, subject, estimator, statistic, value, error, len(hits))
 
@@ -206,7 +221,7 @@ def _depths(name: str, subject: str, part: str, records: Sequence[Record]) -> It
             continue
         yield from _coverage(name, subject, estimator, [d["rank"] for d in depths])
         hits = np.array([np.mean(d["measure95"]) for d in depths if d["measure95"]])
-        yield Score(name, subject, command, "coverage95", *_mean(hits), len(hits))
+        yield Score(name, subject, command, "coverage95", *_fraction(hits), len(hits))
         widths = np.array([np.median(d["u_rel"]) for d in depths if d["u_rel"]])
         yield Score(name, subject, estimator, "u_rel", float(np.median(widths)), None, len(widths))
         biases = np.array(
@@ -219,7 +234,7 @@ def _depths(name: str, subject: str, part: str, records: Sequence[Record]) -> It
 def _selection(name: str, records: Sequence[Record]) -> Iterator[Score]:
     for model in CONDITIONS[name].fitted:
         chosen = np.array([float(r["selected"] == model) for r in records])
-        yield Score(name, "model", model, "share", *_mean(chosen), len(chosen))
+        yield Score(name, "model", model, "share", *_fraction(chosen), len(chosen))
     clear = [
         r
         for r in records
@@ -229,7 +244,7 @@ def _selection(name: str, records: Sequence[Record]) -> Iterator[Score]:
     ]
     if clear:
         chosen = np.array([float(r["selected"] == EXTENDED) for r in clear])
-        yield Score(name, "model", EXTENDED, "share_clear", *_mean(chosen), len(chosen))
+        yield Score(name, "model", EXTENDED, "share_clear", *_fraction(chosen), len(chosen))
 
 
 def _mistakes(records: Sequence[Record]) -> list[Score]:
@@ -258,7 +273,7 @@ def _mistakes(records: Sequence[Record]) -> list[Score]:
 
 def _share(name: str, subject: str, estimator: str, statistic: str, held: Sequence[bool]) -> Score:
     return Score(
-        name, subject, estimator, statistic, *_mean(np.array(held, dtype=float)), len(held)
+        name, subject, estimator, statistic, *_fraction(np.array(held, dtype=float)), len(held)
     )
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from calib.study.claims import judge
+from calib.study.claims import LEAST_RIGS, judge, verdict_text
 from calib.study.conditions import CONDITIONS, GROUPS, chosen
 from calib.study.scores import Score, score_all
 
@@ -113,3 +113,22 @@ def test_names_of_conditions_stand_for_themselves_and_groups() -> None:
     assert chosen(("base-14", "default")) == ("base-14", *(
         name for name in GROUPS["default"] if name != "base-14"))  # fmt: skip
     assert set(GROUPS["all"]) >= set(CONDITIONS)
+
+
+@pytest.mark.parametrize("rigs", [4, LEAST_RIGS - 1, 400])
+def test_rigs_that_all_agree_prove_nothing_while_they_are_few(rigs: int) -> None:
+    """Property: every interval holds the truth, on few rigs by chance, on 400 being too wide."""
+    made = records()[:rigs]
+    for record in made:
+        for depth in record["depths"].values():
+            depth["rank"] = [0.5] * len(depth["rank"])
+    scores = score_all(made)
+    inside = find(scores, subject="depth inside", estimator="selected", statistic="coverage95")
+    assert inside.value == 1
+    assert inside.std_error is not None
+    # All of n agree: an honest error is of the order of 1/n (rule of three: 3/n at 95 %).
+    assert 1 / (rigs + 4) < inside.std_error < 3 / (rigs + 4)
+    (verdict,) = [v for v in judge(scores) if "inside the calibrated range" in v.claim]
+    assert not verdict.held
+    assert verdict.broken == (rigs >= LEAST_RIGS)
+    assert ("too few" in verdict_text(verdict)) == (rigs < LEAST_RIGS)

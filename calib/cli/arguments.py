@@ -135,8 +135,8 @@ def run_folder(out: Path | None, root: Path, *, force: bool) -> Path:
     if out is not None:
         return out
     default = Path("reports") / root.name
-    guarded(default, RUN_FOLDER, option="--out", inputs=[root], force=force)
-    return default
+    # Whole, as that of --out: reports/ lies where the command was given.
+    return guarded(default, RUN_FOLDER, option="--out", inputs=[root], force=force)
 
 
 MOST = 2**63 - 1

@@ -4,14 +4,25 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from calib.cli.acceptance import DONE, GATE_FAILED, add_calibration, warn_of_failed
 from calib.cli.arguments import add_output
+from calib.cli.streams import say
 from calib.cli.voice import add_voice, print_json
 from calib.stages.output_guard import OutputKind
 
+if TYPE_CHECKING:
+    from calib.history.drift import Run
+
 PAGE = OutputKind(is_folder=False, marks=(b'content="calib compare"',))
 """Known by its generator."""
+
+INTERVALS = """\
+In [ ] the 95 % interval of a normal distribution, from the standard uncertainty by which changes
+are judged. `calib calibrate` prints that of the draws, which need not be symmetric.
+"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -42,13 +53,31 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.json:
         print_json(document(runs, changes))
     else:
-        sys.stdout.write(text(found) if not arguments.quiet else verdicts(changes))
+        sys.stdout.write(verdicts(changes) if arguments.quiet else f"{text(found)}\n{INTERVALS}")
     if arguments.out is not None:
         write_bytes(arguments.out, html(found).encode())
         if not (arguments.json or arguments.quiet):
             sys.stdout.write(f"\npage: {arguments.out}\n")
+    if told := _of_more_rigs(runs):
+        say(told)
     minded = [
         warn_of_failed(path, run.measuring.failed_gates, accepted=False)
         for path, run in zip(arguments.runs, runs, strict=True)
     ]
     return GATE_FAILED if any(minded) else DONE
+
+
+def _of_more_rigs(runs: Sequence[Run]) -> str | None:
+    """Return a warning where runs do not say that they are of one rig, or say that they are not."""
+    serials = [run.measuring.serial for run in runs]
+    known = list(dict.fromkeys(serial for serial in serials if serial is not None))
+    if len(known) > 1:
+        names = " and ".join(known)
+        return f"calib: these runs are of different rigs ({names}): differences are no changes"
+    if known and None in serials:
+        silent = ", ".join(run.name for run, one in zip(runs, serials, strict=True) if one is None)
+        return (
+            f"calib: {silent}: no [rig] serial in its dataset; only if it is {known[0]} "
+            "are differences changes of one rig"
+        )
+    return None

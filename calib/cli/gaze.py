@@ -122,12 +122,26 @@ def _gaze_at_each(
     from calib.rig.protocols import RigError
 
     hand = placing_for(rig, _tell)
+    hint = _other_virtual_target(rig, arguments.target)
     for name in (f"t{i:02d}" for i in range(1, arguments.count + 1)):
         hand.place(name)
         try:
             table.add(name, gazer.gaze(aiming, depth_mm=table.last_mm))
         except RigError as error:
-            table.refuse(name, str(error))
+            table.refuse(name, f"{error}{hint}")
+
+
+def _other_virtual_target(rig: RigDevices, wanted: str) -> str:
+    """Return what to add to a refusal where the virtual rig shows another target."""
+    if rig.world is None:
+        return ""
+    shown, kind = rig.settings.virtual.target, wanted.partition(":")[0]
+    if (shown == wanted) if kind == "tag" else {"corner": "board"}.get(kind, kind) == shown:
+        return ""
+    return (
+        f"; the virtual rig shows {shown!r}: put up another by [virtual] target in a rig.toml, "
+        "and give it by --rig"
+    )
 
 
 def _follow(

@@ -130,6 +130,8 @@ def guarded(
             raise refuse(f"is {what}", "name a folder" if kind.is_folder else "name a file")
         if not (kind.is_folder or stat.S_ISREG(mode)):
             raise refuse(f"is {_kind_of(mode)}", "name a file; > redirects to anything else")
+        if kind.is_new and (real / DATASET_MARK).exists():
+            raise refuse("is a dataset already", "delete it first, or " + elsewhere)
         if kind.is_folder and (real / DATASET_MARK).exists() and not kind.is_dataset:
             raise refuse("is a dataset", "results go into a folder of their own: " + elsewhere)
         if not (force or kind.wrote(real)):

@@ -133,6 +133,7 @@ def refused_rigs(call, lab, calibration):
     assert done.status == 2
     assert "is for pictures of c1 of 640 x 480 px; the camera gives 800 x 600" in done.err
     done = call("gaze", calibration, "--rig", "rig.toml", "--target", "cross", "--accept-failed")
+    assert "[virtual] target" in done.err
     assert done.status == 3
     assert "C1 does not see the target cross" in rows(done.out)[0]["status"]
 

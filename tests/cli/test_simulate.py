@@ -67,3 +67,14 @@ def test_same_seed_same_dataset(tmp_path: Path, capsys: pytest.CaptureFixture[st
         assert call(capsys, "simulate", tmp_path / name, "--seed", seed).status == 0
     assert tree(tmp_path / "a") == tree(tmp_path / "b")
     assert tree(tmp_path / "a")["gaze.csv"] != tree(tmp_path / "c")["gaze.csv"]
+
+
+def test_a_dataset_is_not_made_where_one_lies(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Property: the message is about datasets, which are made here, not about results."""
+    out = tmp_path / "rig"
+    assert call(capsys, "simulate", out, "--seed", 7).status == 0
+    again = call(capsys, "simulate", out, "--seed", 8)
+    assert again.status == 2
+    assert "is a dataset already; delete it first, or name another place" in again.err

@@ -113,7 +113,7 @@ def compare(*arguments: str) -> int:
     return run(parser.parse_args(arguments))
 
 
-def calibration(folder: Path, baseline: float) -> Path:
+def calibration(folder: Path, baseline: float, *, serial: str | None = None) -> Path:
     """A calibration.json with what the comparison reads."""
     folder.mkdir()
     spread = {"normal": 1e-4, "width": 0.0}
@@ -133,6 +133,8 @@ def calibration(folder: Path, baseline: float) -> Path:
         },
         "comparison": [{"model": "axis-offset", "loo": 30.5}],
     }  # fmt: skip
+    if serial is not None:
+        document["rig"] = {"serial": serial}
     (folder / "calibration.json").write_text(json.dumps(document))
     return folder
 
@@ -147,8 +149,32 @@ def test_command_reads_runs_and_writes_a_page(
     assert "effective_baseline_mm" in printed
     assert "30.5" in printed
     assert page.read_text().endswith("</html>\n")
+    assert "95 % interval" in printed
     with pytest.raises(UsageError, match="two runs"):
         compare(str(first))
+
+
+@pytest.mark.parametrize(
+    ("serials", "told"),
+    [
+        ((None, None), ""),
+        (("AG-1", "AG-1"), ""),
+        (("AG-1", "AG-2"), "different rigs (AG-1 and AG-2)"),
+        (("AG-1", None), "b: no [rig] serial"),
+    ],
+)
+def test_runs_of_different_rigs_are_told(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    serials: tuple[str | None, str | None],
+    told: str,
+) -> None:
+    names = zip("ab", serials, strict=True)
+    runs = [str(calibration(tmp_path / name, 120.0, serial=serial)) for name, serial in names]
+    assert compare(*runs) == 0
+    err = capsys.readouterr().err
+    assert told in err
+    assert bool(told) == bool(err)
 
 
 def test_a_failed_run_gives_no_verdict(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

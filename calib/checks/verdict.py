@@ -264,7 +264,7 @@ def gaze_warnings(gaze: GazeResult) -> tuple[str, ...]:
     if gaze.groups is not None and gaze.groups.together:
         found.append(_together(gaze.groups))
     found += diagnosis_warnings(gaze.diagnosis, gaze.correction)
-    if gaze.average is not None and gaze.depths is not None:
+    if gaze.average is not None and gaze.depths is not None and gaze.by_rows is not gaze.beside:
         told = doubt_of(gaze.average, gaze.depths)
         found += [] if told is None else [told]
     if gaze.calibrated is not None and gaze.calibrated.measures_residual:

@@ -18,6 +18,7 @@ from calib.checks.prior_conflict import prior_warnings
 from calib.checks.stereo_pose import pose_warnings
 from calib.checks.verdict import all_gates, all_warnings, disagreements
 from calib.core.errors import InputError
+from calib.core.gate import Gate
 from calib.dataset.contents import Dataset
 from calib.dataset.given_lens import given_lens_covariance
 from calib.dataset.tables import LengthTable
@@ -35,7 +36,8 @@ from calib.fit.priors import Priors
 from calib.fit.robust import RobustFit, fit_model
 from calib.fit.scale import scaled_defaults
 from calib.geometry.parameters import MODELS
-from calib.instrument.adjusted import BY_RULE, ROWS, choose
+from calib.images.adjustment.result import Adjustment
+from calib.instrument.adjusted import AS_ASKED, BY_RULE, ROWS, Choice, choose
 from calib.instrument.averaging import build_average
 from calib.instrument.calibrated import build_instrument, measure_validation, tabulate_depths
 from calib.mirror.gaze import mirror_gaze
@@ -146,12 +148,13 @@ def calibrate(
             gaze=gaze,
             adjustment=None if adjustment is None else adjustment.get(),
             not_adjusted=None if adjustment is None else adjustment.failed,
-            gates=all_gates(result, gaze, failures),
+            gates=(*all_gates(result, gaze, failures), *_adjustment_gates(adjustment, choice)),
             warnings=(
                 *dataset.warnings,
                 *_combined(dataset, gaze),
                 *all_warnings(result, gaze),
                 *(() if gaze is None else prior_warnings(gaze, row_priors(dataset))),
+                *_not_used(choice),
                 *pose_warnings(dataset, result.stereo, gaze),
             ),
             rows=None if dataset.gaze is None else sketch(dataset.gaze, result.corners),
@@ -169,6 +172,22 @@ def _combined(dataset: Dataset, gaze: GazeResult | None) -> tuple[str, ...]:
         return ()
     told = repetition_warning(dataset.gaze, gaze.rows)
     return () if told is None else (told,)
+
+
+def _adjustment_gates(
+    adjustment: Staged[Adjustment] | None, choice: Choice | None
+) -> tuple[Gate, ...]:
+    """Return the gates of the adjustment where the instrument is taken from it."""
+    if adjustment is None or choice is None or choice.method == ROWS:
+        return ()
+    return adjustment.value.gates
+
+
+def _not_used(choice: Choice | None) -> tuple[str, ...]:
+    """Return a warning where there is an adjustment that the rule has not taken."""
+    if choice is None or choice.method != ROWS or choice.reason == AS_ASKED:
+        return ()
+    return (f"the adjustment of all pictures is not used: {choice.reason}",)
 
 
 def _gaze_chain(

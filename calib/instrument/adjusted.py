@@ -110,6 +110,8 @@ def row_pulls(adjustment: Adjustment, rows: Observations) -> FloatArray:
 BY_RULE, ROWS, ADJUSTMENT = "rule", "rows", "adjustment"
 """From what the instrument is taken: by the rule of `choose`, or as the user says."""
 
+AS_ASKED = "as asked for by --method"
+
 ROWS_LIMIT = 3.0
 """Root mean square of `row_pulls` up to which rows and pictures agree: 1 if all that is stated is
 so; rows whose reference depths are another scale than the board's squares miss by ten and more."""
@@ -159,7 +161,7 @@ def choose(
             )
         return None
     if asked != BY_RULE:
-        return Choice(asked, "as asked for by --method")
+        return Choice(asked, AS_ASKED)
     failed = [gate.name for gate in adjustment.gates if not gate.passed]
     if failed:
         return Choice(ROWS, f"the adjustment fails {', '.join(failed)}")

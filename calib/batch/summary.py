@@ -10,7 +10,7 @@ from pathlib import Path
 from urllib.parse import quote
 
 from calib.batch.task import Ending, Outcome
-from calib.core.errors import CalibError
+from calib.core.errors import CalibError, harmless
 from calib.history.drift import EFFECTIVE
 from calib.history.read import read_run
 from calib.report.plain_page import Block, Cell, Link, Paragraph, PlainTable, State, plain_page
@@ -94,7 +94,8 @@ def csv_text(lines: Sequence[Line]) -> str:
         figures = [line.figures.get(name, "") for name in COLUMNS]
         row = [line.dataset, line.ending, *figures, line.folder, "; ".join(line.remarks)]
         # A name that a spreadsheet would compute is kept as text.
-        writer.writerow([f"'{cell}" if cell[:1] in tuple("=+-@\t") else cell for cell in row])
+        cells = map(harmless, row)
+        writer.writerow([f"'{cell}" if cell[:1] in tuple("=+-@") else cell for cell in cells])
     return text.getvalue()
 
 

@@ -19,6 +19,7 @@ from pathlib import Path
 from threading import Lock
 from typing import Literal
 
+from calib.core.parent import ending_with_this
 from calib.stages.parallel import PROCESSORS
 from calib.stages.store import IN_USE, is_in_use
 
@@ -125,14 +126,13 @@ def _calibrate(task: Task, children: Children) -> Outcome:
     with (
         subprocess.Popen(  # noqa: S603 - no shell; this very interpreter
             command,
-            env={**os.environ, PROCESSORS: "1", "PYTHONPATH": search},
+            env={**os.environ, **ending_with_this(), PROCESSORS: "1", "PYTHONPATH": search},
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,
         ) as process,
         children.counted(process),
     ):
-        # A pipe: where this process dies, that one ends at its next word.
         _, err = process.communicate()
     ending = _ENDINGS.get(process.returncode, "crashed")
     lines = err.decode(errors="replace").splitlines()

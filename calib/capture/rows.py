@@ -88,7 +88,7 @@ def capture_rows(capture: Capture, *, count: int) -> Captured:
     _note_start(capture)
     have, refused, in_a_row = len(capture.folder.rows(capture.table)), 0, 0
     while have < count and in_a_row < REFUSALS_MAX:
-        name = _next_name(capture)
+        name = next_name(capture)
         try:
             _take(capture, aiming, name)
         except RigError as error:
@@ -100,7 +100,7 @@ def capture_rows(capture: Capture, *, count: int) -> Captured:
     return Captured(have, refused)
 
 
-def _next_name(capture: Capture) -> str:
+def next_name(capture: Capture) -> str:
     """Return an id that no row has or had, and whose pictures are nobody's.
 
     A picture without a row is what a capture that was killed left of the row in work, if the

@@ -43,6 +43,7 @@ from calib.instrument.calibrated import build_instrument, measure_validation, ta
 from calib.mirror.gaze import mirror_gaze
 from calib.mirror.problem import Mirror, mirror_priors
 from calib.results.calibration import Calibration, GazeResult
+from calib.results.published import contradictions
 from calib.rows.from_table import ValidationRows, observe_validation, row_priors
 from calib.rows.observations import Observations
 from calib.rows.repeated_readings import repetition_warning
@@ -156,6 +157,9 @@ def calibrate(
                 *(() if gaze is None else prior_warnings(gaze, row_priors(dataset))),
                 *_not_used(choice),
                 *pose_warnings(dataset, result.stereo, gaze),
+                *contradictions(
+                    result, {n: (p.mean, p.std) for n, p in dataset.manifest.published.items()}
+                ),
             ),
             rows=None if dataset.gaze is None else sketch(dataset.gaze, result.corners),
             disagreements=() if gaze is None else disagreements(gaze),

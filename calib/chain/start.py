@@ -14,6 +14,7 @@ from typing import Any
 
 from calib.core.errors import CalibError
 from calib.core.gate import Gate
+from calib.core.parent import ending_with_this
 from calib.dataset.load import load_dataset
 from calib.instrument.rig import RESULT, Rig, load
 from calib.stages.manifest import refuse_broken
@@ -113,6 +114,7 @@ def calibrate(
     options += ["--force"] * force
     ended = subprocess.run(  # noqa: S603 - this interpreter, and arguments that no shell sees
         [sys.executable, "-P", "-m", "calib", "calibrate", *options, "--", os.fspath(dataset)],
+        env={**os.environ, **ending_with_this()},
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
         stdin=subprocess.DEVNULL,

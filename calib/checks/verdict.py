@@ -8,6 +8,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from calib.checks.diagnosis import diagnosis_gate, diagnosis_warnings, structure_words
+from calib.checks.field import field_gate
 from calib.core.arrays import FloatArray
 from calib.core.gate import Gate
 from calib.diagnosis.structure import structured
@@ -79,7 +80,10 @@ def all_gates(
         lenses = tuple(i.selected.rms_px for i in images.intrinsics.values())
         gates += [*images.stereo.gates, *_pairs_noise(images.stereo.rms_px, lenses)]
     gates += images.sweep.gates if images.sweep is not None else ()
-    gates += gaze_gates(gaze) if gaze is not None else ()
+    if gaze is not None:
+        if "c1" in images.intrinsics:
+            gates.append(field_gate(images.intrinsics["c1"], gaze))
+        gates += gaze_gates(gaze)
     return tuple(gates)
 
 

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from calib.cli.arguments import add_input
+from calib.cli.streams import say
 from calib.core.gate import Gate
 
 DONE, GATE_FAILED = 0, 3
@@ -42,9 +42,6 @@ def warn_of_failed(name: Path, failed: Sequence[Gate], *, accepted: bool) -> boo
     if not failed or accepted:
         return False
     for gate in failed[:NAMED_FAULTS]:
-        print(f"calib: {name}: gate {gate.name} FAILED: {gate.detail}", file=sys.stderr)
-    print(
-        f"calib: {name}: must not be used; mend what its report names, or --accept-failed",
-        file=sys.stderr,
-    )
+        say(f"calib: {name}: gate {gate.name} FAILED: {gate.detail}")
+    say(f"calib: {name}: must not be used; mend what its report names, or --accept-failed")
     return True

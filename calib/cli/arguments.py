@@ -167,13 +167,13 @@ def whole(text: str, *, least: int, most: int = MOST) -> int:
     return int(text)
 
 
-def number(text: str, *, below: float, wanted: str) -> float:
-    """Return a number between 0 and `below`."""
+def number(text: str, *, below: float, wanted: str, above: float = 0.0) -> float:
+    """Return a number between `above` and `below`."""
     try:
         value = float(text)
     except ValueError:
         value = 0.0
-    if not 0 < value < below:
+    if not above < value < below:
         raise argparse.ArgumentTypeError(f"{text!r}: give {wanted}")
     return value
 
@@ -182,6 +182,11 @@ LARGEST_DEPTH_MM = 1e7
 """Ten kilometres: no gaze angle measures them, and squares of larger numbers soon overflow."""
 
 
+LEAST_DEPTH_MM = 1e-3
+"""A micrometre before the camera there is no target; squares of far smaller numbers are 0."""
+
+
 def depth(text: str) -> float:
     """Return a depth in mm."""
-    return number(text, below=LARGEST_DEPTH_MM, wanted="a depth in mm, above 0 and below 10 km")
+    wanted = "a depth in mm, above 1 um and below 10 km"
+    return number(text, above=LEAST_DEPTH_MM, below=LARGEST_DEPTH_MM, wanted=wanted)

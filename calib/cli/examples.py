@@ -26,10 +26,13 @@ EXAMPLES: Mapping[str, tuple[str, ...]] = {
     "calib history chart": ("calib history chart rig-a --out chart.svg",),
     "calib history page": ("calib history page",),
     "calib history check": (
-        "calib history check reports/my-rig/calibration.json standard.csv readings.csv",
+        "calib history check reports/my-rig/calibration.json standard.toml readings.csv",
+        "calib history check reports/my-rig/calibration.json standard.toml mornings.csv "
+        "--gaze --rig rig.toml",
     ),
     "calib history due": ("calib history due rig-a --tolerance 5",),
     "calib capture gaze": ("calib capture gaze datasets/my-rig --count 20",),
+    "calib capture intrinsics": ("calib capture intrinsics datasets/my-rig --rig rig.toml",),
     "calib capture validation": ("calib capture validation datasets/my-rig --count 10",),
     "calib gaze": ("calib gaze reports/my-rig/calibration.json --count 10 --out positions.csv",),
     "calib live": ("calib live --rig rig.toml --dataset datasets/my-rig",),

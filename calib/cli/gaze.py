@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
@@ -11,6 +10,7 @@ from calib.cli.acceptance import add_calibration, warn_of_failed
 from calib.cli.arguments import add_output, positive
 from calib.cli.measure import POSITIONS, writer
 from calib.cli.rig_options import add_rig, last_check, opened
+from calib.cli.streams import say
 
 if TYPE_CHECKING:
     from calib.gaze.aim import EpipolarAiming
@@ -202,4 +202,4 @@ class _Table:
 
 
 def _tell(line: str) -> None:
-    print(line, file=sys.stderr, flush=True)
+    say(line)

@@ -5,13 +5,21 @@ from __future__ import annotations
 import argparse
 import math
 import sys
-from datetime import date
+from datetime import date, datetime
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from calib.cli.acceptance import DONE, GATE_FAILED, add_calibration, warn_of_failed
 from calib.cli.arguments import add_input, add_output, positive
+from calib.cli.gaze import make_gazer
+from calib.cli.length import PLATE
+from calib.cli.rig_options import add_rig, opened
 from calib.core.errors import harmless
 from calib.stages.output_guard import OutputKind, files_of
+
+if TYPE_CHECKING:
+    from calib.history.certified import Standard
+    from calib.instrument.calibration_file import Measuring
 
 NOT_ALL = 3
 """Some calibrations were edited, damaged or of no whole run."""
@@ -78,7 +86,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = commands.add_parser("check", help="a check standard measured between calibrations")
     add_calibration(add)
     add_input(add, "standard", metavar="STANDARD.toml", help="certified lengths and depths")
-    add_input(add, "readings", metavar="READINGS.csv", help="date, and the columns of measure")
+    add_input(
+        add, "readings", metavar="READINGS.csv",
+        help="date, and the columns of measure; with --gaze it may be new",
+    )  # fmt: skip
+    add.add_argument(
+        "--gaze", action="store_true",
+        help="gaze at the standard now and add the session to READINGS.csv",
+    )  # fmt: skip
+    add_rig(add, help="of --gaze, and asks for it")
     add_output(add, "--out", kind=RECORD, metavar="HTML", help="page to write; default: none")
     add.add_argument(
         "--accepted",
@@ -267,6 +283,8 @@ def _run_check(arguments: argparse.Namespace) -> int:
     )
     standard = read_standard(arguments.standard)
     name = str(arguments.readings)
+    if arguments.gaze or arguments.rig is not None:
+        _add_session(arguments, measuring, standard)
     checked = check_standard(
         measuring, standard, table_text(arguments.readings, name=name), name=name
     )
@@ -283,3 +301,46 @@ def _run_check(arguments: argparse.Namespace) -> int:
         write_bytes(arguments.out, page(title, checked, accepted=accepted).encode())
         print(f"page: {harmless(str(arguments.out))}")
     return GATE_FAILED if said or minded else DONE
+
+
+def _add_session(arguments: argparse.Namespace, measuring: Measuring, standard: Standard) -> None:
+    """Gaze at the standard and add what was read to the table, whole or not at all."""
+    from calib.core.errors import InputError
+    from calib.gaze.measured import aiming, lenses
+    from calib.gaze.placing import placing_for
+    from calib.history.gazed import gaze_standard, has_sessions, targets_of, with_session
+    from calib.history.standard import check_standard
+    from calib.rig.known import known_board
+    from calib.stages.store import write_bytes
+
+    name, plates = (
+        str(arguments.readings),
+        "plate:" in "".join(map(standard.gazed_as, standard.targets)),
+    )
+    before, table = _table_so_far(arguments.readings), arguments.readings.resolve()
+    if not table.parent.is_dir():
+        raise InputError.single(
+            where=str(table.parent), what="is not a folder", remedy="make it, or name another"
+        )
+    if has_sessions(before, name=name):
+        # What cannot be read afterwards is told before the rig moves.
+        check_standard(measuring, standard, before, name=name)
+    with opened(arguments.rig, virtual_target=PLATE if plates else None) as rig:
+        known = lenses(measuring, rig, name=str(arguments.calibration))
+        targets = targets_of(standard, known_board(rig))
+        first = next(iter(targets.values()))
+        gazer = make_gazer(arguments, rig, known.c2, lens_c1=known.c1, at=first)
+        if rig.world is not None:
+            placing_for(rig, print).place(standard.serial)
+        rows = gaze_standard(gazer, aiming(measuring, known.c1), targets)
+    now = datetime.now().isoformat(timespec="seconds")
+    after = with_session(_table_so_far(arguments.readings), rows, date=now, name=name)
+    check_standard(measuring, standard, after, name=name)
+    write_bytes(table, after.encode())
+    print(f"{harmless(name)}: session of {now} added", file=sys.stderr)
+
+
+def _table_so_far(path: Path) -> str:
+    from calib.instrument.measuring import table_text
+
+    return table_text(path, name=str(path)) if path.exists() else ""

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import sys
 
 from calib.cli.acceptance import add_calibration, warn_of_failed
 from calib.cli.arguments import add_output, positive
 from calib.cli.gaze import make_gazer
 from calib.cli.measure import writer
 from calib.cli.rig_options import add_rig, opened
+from calib.cli.streams import say
 from calib.stages.output_guard import OutputKind
 
 DONE, NOT_ALL = 0, 3
@@ -88,4 +88,4 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _tell(line: str) -> None:
-    print(line, file=sys.stderr, flush=True)
+    say(line)

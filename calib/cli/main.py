@@ -12,7 +12,7 @@ import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from types import ModuleType
-from typing import NoReturn
+from typing import TYPE_CHECKING, NoReturn
 
 from calib.cli import (
     batch,
@@ -36,10 +36,14 @@ from calib.cli import (
 )
 from calib.cli.arguments import guard_outputs
 from calib.cli.examples import add_examples
-from calib.cli.streams import discard, open_streams, refused_output, settled, tell
+from calib.cli.streams import discard, open_streams, refused_output, say, settled, tell
 from calib.cli.voice import error_json, painted, print_json
 from calib.core.errors import CalibError
+from calib.core.parent import end_with_parent
 from calib.core.version import __version__
+
+if TYPE_CHECKING:
+    from _typeshed import SupportsWrite
 
 DONE, DEFECT, REFUSED, GATE_FAILED = 0, 1, 2, 3
 INTERRUPTED = 128 + signal.SIGINT
@@ -115,6 +119,13 @@ def _overview() -> str:
 class _Parser(argparse.ArgumentParser):
     """Refuses in one line, as all the rest of the program does."""
 
+    def _print_message(self, message: str, file: SupportsWrite[str] | None = None) -> None:
+        """Print help, which must not be lost unnoticed, or words about arguments, as given."""
+        if file is not None and file is sys.stdout:
+            file.write(message)
+        elif message:
+            say(message.rstrip("\n"))
+
     def error(self, message: str) -> NoReturn:
         self.exit(REFUSED, f"{self.prog}: {message}; {self.prog} --help says what there is\n")
 
@@ -146,6 +157,7 @@ def parser() -> argparse.ArgumentParser:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return its exit status."""
+    end_with_parent()
     for name in _THREADS:
         os.environ[name] = "1"
     open_streams()

@@ -12,7 +12,7 @@ from typing import IO, TYPE_CHECKING
 
 from calib.cli.acceptance import NAMED_FAULTS, add_calibration, warn_of_failed
 from calib.cli.arguments import STREAM, add_input, add_output
-from calib.cli.streams import standard_input
+from calib.cli.streams import say, standard_input
 from calib.cli.voice import add_voice, as_json_lines
 from calib.core.errors import InputError
 from calib.core.text_stream import read_texts
@@ -108,7 +108,7 @@ def _positions(
             )
         )
     if note is not None and not arguments.quiet:
-        print(f"calib: note: {note}", file=sys.stderr)
+        say(f"calib: note: {note}")
 
 
 def _lengths(
@@ -132,7 +132,7 @@ def _lengths(
     write(out.csv_text([out.LENGTH_COLUMNS]) + rows)
     tally.failed = max(tally.failed, none)
     if arguments.model == SELECTED and (note := doubt(measuring, measured, block.table)):
-        print(f"calib: note: {note}", file=sys.stderr)
+        say(f"calib: note: {note}")
 
 
 class _Tally:
@@ -175,13 +175,10 @@ class _Tally:
             remedy = "add a row for each reading"
             raise InputError.single(where=self.name, what="has no rows", remedy=remedy)
         for line in self._named if not self._quiet else ():
-            print(line, file=sys.stderr)
+            say(line)
         if self.failed:
             more = f", the first {NAMED_FAULTS} named above" * (self.failed > NAMED_FAULTS)
-            print(
-                f"calib: {self.failed} of {self.rows} rows could not be measured{more}",
-                file=sys.stderr,
-            )
+            say(f"calib: {self.failed} of {self.rows} rows could not be measured{more}")
         return self.failed > 0
 
 

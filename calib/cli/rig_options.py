@@ -19,9 +19,9 @@ if TYPE_CHECKING:
 HELP = "default: the embedded virtual rig"
 
 
-def add_rig(parser: argparse.ArgumentParser) -> None:
-    """Add the option that names the rig."""
-    add_input(parser, "--rig", metavar="RIG.toml", help=HELP)
+def add_rig(parser: argparse.ArgumentParser, *, help: str = "") -> None:  # noqa: A002 - argparse's
+    """Add the option that names the rig; `help` is said before which is taken by default."""
+    add_input(parser, "--rig", metavar="RIG.toml", help="; ".join(filter(None, (help, HELP))))
 
 
 def check_path(rig_file: Path | None) -> Path:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+from collections.abc import Iterable
 from functools import partial
 
 from calib.cli.arguments import add_output, natural, whole
@@ -61,7 +62,7 @@ def run(arguments: argparse.Namespace) -> int:
         is_left=arguments.c2 == "left",
         outlier_share=arguments.outliers,
         faults=dict(_fault(text) for text in arguments.fault),
-        fixed=dict(_assignment(text) for text in arguments.set),
+        fixed=_each_once(map(_assignment, arguments.set)),
     )
     console = Console(quiet=arguments.quiet)
     try:
@@ -72,6 +73,15 @@ def run(arguments: argparse.Namespace) -> int:
         return 0
     print(f"{harmless(str(arguments.out))}: written, with its truth in truth.json")
     return 0
+
+
+def _each_once(assignments: Iterable[tuple[str, float]]) -> dict[str, float]:
+    found: dict[str, float] = {}
+    for name, value in assignments:
+        if name in found:
+            raise UsageError(f"--set {name}: is given twice; give it once")
+        found[name] = value
+    return found
 
 
 def _fault(text: str) -> tuple[str, float | None]:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import io
 import os
 import sys
 from typing import IO, TextIO
 
-from calib.core.errors import UsageError
+from calib.core.errors import UsageError, harmless
 
 _FULL = 2
 
@@ -29,6 +30,11 @@ def open_streams() -> None:
                 os.close(handle)
     sys.stdout = _usable(sys.stdout, 1)
     sys.stderr = _usable(sys.stderr, 2)
+    error = sys.stderr
+    if error is sys.__stderr__ and isinstance(error, io.TextIOWrapper):
+        sys.stderr = _Unminded(
+            error.buffer, error.encoding, "backslashreplace", line_buffering=True
+        )
 
 
 def _usable(stream: TextIO | None, number: int) -> TextIO:
@@ -69,6 +75,28 @@ def settled(status: int) -> int:
     except OSError:
         discard(sys.stderr)
     return status
+
+
+class _Unminded(io.TextIOWrapper):
+    """Standard error that is full or gone: what is said is lost, and the work goes on."""
+
+    def write(self, text: str) -> int:
+        try:
+            return super().write(text)
+        except OSError:
+            discard(self)
+            return len(text)
+
+    def flush(self) -> None:
+        try:
+            super().flush()
+        except OSError:
+            discard(self)
+
+
+def say(line: str) -> None:
+    """Print a line on stderr, escaped: names in it may hold what a terminal would obey."""
+    tell(harmless(line))
 
 
 def tell(line: str) -> None:

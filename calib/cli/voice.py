@@ -72,8 +72,10 @@ def _line(header: list[str], record: list[str]) -> str:
 
 
 def _cell(name: str, cell: str) -> str | float | None:
+    from calib.instrument.measured_text import as_given
+
     if not name.endswith(("_mm", "_mm2", "_rad", "_deg")):
-        return cell
+        return as_given(cell)
     value = float(cell) if cell else math.nan
     return value if math.isfinite(value) else None
 

@@ -45,6 +45,10 @@ DEPTH_SPREAD = 0.01
 """Relative spread of depths below which targets stand at one depth."""
 
 
+NAMED_ROWS = 5
+"""Rows that are named at most."""
+
+
 def doubts(dataset: Dataset) -> Iterator[str]:
     """Yield what is no fault but may be a slip, a line each."""
     for name, camera in dataset.cameras.items():
@@ -62,11 +66,33 @@ def doubts(dataset: Dataset) -> Iterator[str]:
         yield from (f"[cameras.{name}]: {doubt}" for doubt in lens_doubts(camera.distortion))
     yield from _per_cent(dataset)
     yield from _reading(dataset)
+    yield from _own_pictures(dataset)
     if dataset.gaze is not None:
         yield from _gaze_doubts(dataset, dataset.gaze)
         yield from _step_doubts(dataset, dataset.gaze)
     for table in dataset.rows:
         yield from _convention_doubts(dataset, table)
+
+
+def _own_pictures(dataset: Dataset) -> Iterator[str]:
+    """Yield rows whose picture by C2 is that of the pair which gave their depth."""
+    content = dataset.image_sha256
+    for table in dataset.rows:
+        same = []
+        for i, (image, stem) in enumerate(zip(table.image_c2, table.stereo, strict=True)):
+            pair = dataset.stereo_pairs.get(stem or "")
+            if image is None or pair is None:
+                continue
+            if image == pair[1] or content.get(image, image) == content.get(pair[1], pair[1]):
+                same.append(table.ids[i])
+        if same:
+            named = ", ".join(same[:NAMED_ROWS]) + (", ..." if len(same) > NAMED_ROWS else "")
+            yield (
+                f"{table.file}: reading and reference depth of {len(same)} of {len(table)} rows "
+                f"come from one picture by C2, that of the pair ({named}): what is wrong with it "
+                "is wrong in both and cannot show; take a picture by C2 of its own for each row, "
+                "turned to the target"
+            )
 
 
 def _reading(dataset: Dataset) -> Iterator[str]:

@@ -162,7 +162,7 @@ class Folder:
         """
         fault = path_fault(pattern)
         parts = PurePosixPath(pattern).parts
-        if fault is None and "**" in parts:
+        if fault is None and "**" in pattern:
             fault = f"{shown(pattern)} has '**', which is no wildcard here: it would match like '*'"
         elif fault is None and sum(map(glob.has_magic, parts)) > WILD_PARTS:
             fault = f"{shown(pattern)} has wildcards in more than {WILD_PARTS} places"

@@ -62,12 +62,12 @@ def load_dataset(root: Path, *, rows_to_come: bool = False) -> Dataset:
     if dataset is None or loading.problems:
         raise InputError(loading.problems)
     digests = loading.folder.digests(loading.contents, loading.images)
-    return replace(
+    dataset = replace(
         dataset,
         sha256=fingerprint(digests),
         image_sha256={name: digests[name] for name in sorted(loading.images)},
-        warnings=(*loading.warnings, *doubts(dataset)),
     )
+    return replace(dataset, warnings=(*loading.warnings, *doubts(dataset)))
 
 
 def check_dataset(root: Path) -> tuple[Problem, ...]:

@@ -17,9 +17,13 @@ LISTED_PROBLEMS = 10
 # Control characters but tab and line breaks, and halves of surrogate pairs (a file name that is not
 # UTF-8): no text editor shows them, XML 1.0 forbids them.
 _UNPRINTABLE = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\ud800-\udfff\ufffe\uffff]")
-# Characters that do not show, or turn the text around them: two ids could look the same.
+# Characters that do not show, or turn the text around them: two ids could look the same. They are
+# those of Unicode's Default_Ignorable_Code_Point (https://www.unicode.org/reports/tr44), and others
+# without ink.
 _INVISIBLE = re.compile(
-    "[\u00ad\u061c\u180e\u200b-\u200f\u202a-\u202e\u2060-\u206f\ufe00-\ufe0f\ufeff]"
+    "[\u00ad\u034f\u061c\u115f\u1160\u17b4\u17b5\u180b-\u180f\u200b-\u200f\u202a-\u202e\u2060-\u206f"
+    "\u2800\u3164\ufe00-\ufe0f\ufeff\uffa0\ufff0-\ufffb\U0001bca0-\U0001bca3"
+    "\U0001d173-\U0001d17a\U000e0000-\U000e0fff]"
 )
 _SIGNED_NUMBER = re.compile(r"[+-][0-9][0-9A-Za-z._-]*")
 _LINE_BREAK = re.compile("[\t\n\r\u2028\u2029]")

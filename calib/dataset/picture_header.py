@@ -41,12 +41,15 @@ class Header:
         Of a sample.
     is_whole
         False if the file ends before its image does.
+    samples
+        A pixel, where a file may say more than four.
     """
 
     width: int
     height: int
     bits: int
     is_whole: bool = True
+    samples: int = 1
 
 
 def picture_header(file: BinaryIO) -> Header | None:
@@ -73,6 +76,12 @@ def header_fault(header: Header | None) -> tuple[str, str] | None:
         return (
             f"the file says that it has {size} px of {header.bits} bit, "
             f"{header.width * header.height / 1e6:.0f} million (limit {LARGEST_PIXELS / 1e6:.0f})",
+            "it is no picture of a camera: take it out of the dataset",
+        )
+    if header.width * header.height * header.samples * header.bits > 8 * LARGEST_BYTES:
+        return (
+            f"the file says that it has {size} px of {header.samples} x {header.bits} bit, more "
+            "than 1 GiB",
             "it is no picture of a camera: take it out of the dataset",
         )
     if not header.is_whole:
@@ -164,15 +173,9 @@ def _pnm(head: bytes, size: int) -> Header | None:
 
 
 _TIFF = {b"II*\0": "<", b"MM\0*": ">"}
-_WIDTH, _HEIGHT, _BITS, _STRIPS, _STRIP_SIZES, _TILES, _TILE_SIZES = (
-    256,
-    257,
-    258,
-    273,
-    279,
-    324,
-    325,
-)
+_WIDTH, _HEIGHT, _BITS, _SAMPLES = 256, 257, 258, 277
+_STRIPS, _STRIP_SIZES, _TILES, _TILE_SIZES = 273, 279, 324, 325
+_READ = {_WIDTH, _HEIGHT, _BITS, _SAMPLES, _STRIPS, _STRIP_SIZES, _TILES, _TILE_SIZES}
 _MOST_TAGS = 1000
 _INTEGERS = {1: "B", 3: "H", 4: "I"}
 
@@ -188,8 +191,9 @@ def _tiff(file: BinaryIO, size: int) -> Header | None:
     tags: dict[int, tuple[int, ...]] = {}
     for entry in entries:
         tag, kind, number = struct.unpack(order + "HHI", entry[:8])
-        if kind in _INTEGERS and tag in (_WIDTH, _HEIGHT, _BITS, _STRIPS, _STRIP_SIZES, _TILES,
-                                         _TILE_SIZES):  # fmt: skip
+        if tag in tags:
+            return None  # a decoder may believe the other one
+        if kind in _INTEGERS and tag in _READ:
             tags[tag] = _values(file, entry, order, f"{number}{_INTEGERS[kind]}", size)
     if _WIDTH not in tags or _HEIGHT not in tags:
         return None
@@ -197,7 +201,8 @@ def _tiff(file: BinaryIO, size: int) -> Header | None:
     sizes = tags.get(_STRIP_SIZES) or tags.get(_TILE_SIZES) or ()
     ends = [a + n for a, n in zip(starts, sizes, strict=False)]
     whole = bool(ends) and max(ends) <= size
-    return Header(tags[_WIDTH][0], tags[_HEIGHT][0], max(tags.get(_BITS) or (1,)), whole)
+    bits, samples = max(tags.get(_BITS) or (1,)), max(tags.get(_SAMPLES) or (1,))
+    return Header(tags[_WIDTH][0], tags[_HEIGHT][0], bits, whole, samples)
 
 
 def _values(file: BinaryIO, entry: bytes, order: str, form: str, size: int) -> tuple[int, ...]:

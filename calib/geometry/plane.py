@@ -338,6 +338,10 @@ def _own_angles(thetas: FloatArray, gaze: Gaze) -> FloatArray:
     return angle
 
 
+class OutOfGazeError(ValueError):
+    """A point lies so near the yaw axis that no gaze plane reaches it."""
+
+
 def gaze_at(theta: FloatArray, points: FloatArray) -> Gaze:
     """Return the gazes, without residual, at points of frame C1, mm, shape (n, 3).
 
@@ -345,7 +349,7 @@ def gaze_at(theta: FloatArray, points: FloatArray) -> Gaze:
 
     Raises
     ------
-    ValueError
+    OutOfGazeError
         If a point lies so near the yaw axis that no gaze plane reaches it.
     """
     f = frame(theta)
@@ -356,7 +360,7 @@ def gaze_at(theta: FloatArray, points: FloatArray) -> Gaze:
     a, b, c = arm @ u, arm @ v, f.offset - arm @ w
     reach = np.hypot(a, b)
     if np.any(reach <= np.abs(c)):
-        raise ValueError(
+        raise OutOfGazeError(
             "a point lies within the eccentricity of the yaw axis: C2 cannot gaze at it"
         )
     angle = np.pi - np.arcsin(c / reach) - np.arctan2(b, a)

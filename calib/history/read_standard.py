@@ -9,7 +9,7 @@ from pydantic import ValidationError
 
 from calib.core.errors import InputError, Problem
 from calib.core.limited import TooLargeError, read_limited
-from calib.history.standard import Standard
+from calib.history.certified import Standard
 
 LIMIT_BYTES = 1_000_000
 """Ten thousand certified lengths."""
@@ -42,8 +42,16 @@ def read_standard(path: Path) -> Standard:
                 for one in error.errors()
             ]
         ) from None
+    _refuse_contradiction(path, standard)
+    return standard
+
+
+def _refuse_contradiction(path: Path, standard: Standard) -> None:
     if not standard.quantities:
         raise _bad(path, "certifies nothing", "add [[length]] or [[depth]]")
+    for target in standard.gazed:
+        if target not in standard.targets:
+            raise _bad(path, f"[targets] {target} is in no length or depth", "leave it out")
     for one in standard.length:
         if one.between[0] == one.between[1]:
             raise _bad(path, f"{one.name} has one end", "name two targets")
@@ -51,7 +59,6 @@ def read_standard(path: Path) -> Standard:
     for name in names:
         if names.count(name) > 1:
             raise _bad(path, f"{name} is there twice", "keep one")
-    return standard
 
 
 def _bad(path: Path, what: str, remedy: str) -> InputError:

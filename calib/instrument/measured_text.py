@@ -7,6 +7,7 @@ import io
 import math
 from collections.abc import Iterable, Sequence
 
+from calib.core.errors import harmless as escaped
 from calib.dataset.readings import ReadingBlock
 from calib.dataset.tables import LengthTable
 from calib.instrument.measuring import Measured, Positions
@@ -28,14 +29,27 @@ _FORMULA = ("=", "+", "-", "@")
 
 
 def harmless(text: str) -> str:
-    """Return a name as a spreadsheet shows it: what would be a formula gets an apostrophe."""
+    """Return a name as terminal and spreadsheet show it, who then obey nothing in it.
+
+    What would be a formula gets an apostrophe; what does not print is escaped.
+    """
+    text = escaped(text)
+    return f"'{text}" if _is_formula(text.lstrip("'")) else text
+
+
+def as_given(cell: str) -> str:
+    """Return the name without the apostrophe that `harmless` gave it."""
+    return cell[1:] if cell.startswith("'") and _is_formula(cell.lstrip("'")) else cell
+
+
+def _is_formula(text: str) -> bool:
     if not text.startswith(_FORMULA):
-        return text
+        return False
     try:
         float(text)
     except ValueError:
-        return f"'{text}"
-    return text
+        return True
+    return False
 
 
 def csv_text(rows: Iterable[Sequence[object]]) -> str:

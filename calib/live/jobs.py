@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import subprocess
 import threading
 from collections.abc import Callable
@@ -16,6 +17,7 @@ from calib.capture.rows import Capture as CaptureSettings
 from calib.capture.rows import capture_rows
 from calib.capture.writer import GrowingFolder, growing
 from calib.core.errors import CalibError, UsageError
+from calib.core.parent import ending_with_this
 from calib.gaze import length as lengths
 from calib.gaze.length import gaze_length
 from calib.gaze.measured import position
@@ -168,6 +170,7 @@ def _calibrate(bench: Bench, _: Calibrate) -> None:
     command = [*bench.calib, "calibrate", str(places.dataset), "--out", str(places.run)]
     chain = subprocess.Popen(  # noqa: S603 - the program itself, with folders as arguments
         command,
+        env={**os.environ, **ending_with_this()},
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,

@@ -13,6 +13,7 @@ from calib.geometry.board import Board
 from calib.geometry.camera import project
 from calib.geometry.mirror import SIGN
 from calib.geometry.parameters import INDEX, MODELS, NAMES
+from calib.geometry.plane import OutOfGazeError
 from calib.simulate.contents import (
     Contents,
     Session,
@@ -27,7 +28,7 @@ from calib.simulate.faults import Context, check_faults, spoil
 from calib.simulate.rig import Rig, draw_rig, mirror_rig
 from calib.simulate.scene import fitting_board
 from calib.simulate.session import draw_image_session
-from calib.simulate.tables import SimulatedRows, draw_targets, observe
+from calib.simulate.tables import SimulatedRows, draw_targets, no_rig, observe
 
 
 def plan_dataset(options: SimulationOptions) -> Contents:
@@ -53,7 +54,10 @@ def plan_dataset(options: SimulationOptions) -> Contents:
     near, _ = options.depth_range_mm or rig.depth_range_mm
     board = options.board or fitting_board(rig, near_mm=near)
     draw = draw_image_session if options.images else _draw_table_session
-    return finish(options, draw(options, rig, board, rows), lengths)
+    try:
+        return finish(options, draw(options, rig, board, rows), lengths)
+    except OutOfGazeError as error:
+        raise no_rig(error) from error
 
 
 def _check(options: SimulationOptions) -> None:

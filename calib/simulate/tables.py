@@ -16,7 +16,7 @@ from calib.core.arrays import BoolArray, FloatArray
 from calib.core.errors import UsageError
 from calib.geometry.camera import Camera
 from calib.geometry.misclosure import misclosure
-from calib.geometry.plane import OBSERVABLE, Gaze, gaze_at
+from calib.geometry.plane import OBSERVABLE, Gaze, OutOfGazeError, gaze_at
 from calib.rows.observations import Observations
 from calib.simulate.rig import Rig, c2_pose
 
@@ -113,6 +113,14 @@ def draw_targets(
     )
 
 
+def no_rig(error: OutOfGazeError) -> UsageError:
+    """Return what is said of parameters by which C2 cannot gaze at a target."""
+    return UsageError(
+        f"the parameters make no rig: {error}; ask for a smaller eccentricity, smaller tilts or a "
+        "longer baseline"
+    )
+
+
 def within_reach(rig: Rig, points: FloatArray) -> BoolArray:
     """Return which points, frame C1, mm, shape (n, 3), C2 can be turned to and then sees.
 
@@ -123,11 +131,8 @@ def within_reach(rig: Rig, points: FloatArray) -> BoolArray:
     """
     try:
         reading = gaze_at(rig.theta, points).alpha2
-    except ValueError as error:
-        raise UsageError(
-            f"the parameters make no rig: {error}; ask for a smaller eccentricity, smaller tilts "
-            "or a longer baseline"
-        ) from error
+    except OutOfGazeError as error:
+        raise no_rig(error) from error
     height = rays_in_c2(rig, reading, points)[:, 1]
     (_, top), (_, bottom) = _field(rig.c2)
     low, high = rig.yaw_range_rad

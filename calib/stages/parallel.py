@@ -22,6 +22,7 @@ from threading import Thread
 from typing import IO, Any, NoReturn, TypeAlias
 
 from calib.core.errors import CalibError
+from calib.core.parent import ending_with_this
 from calib.stages.call import Progress
 from calib.stages.message import receive, send
 from calib.stages.worker import ASKED_TO_END
@@ -75,7 +76,7 @@ def run_parallel(
 
     As many are computed at a time as there are workers, begun in the order given. When the caller
     closes the generator, or Ctrl-C interrupts it, the workers are ended; where this process dies,
-    they end at their next word to it.
+    they die with it.
 
     Parameters
     ----------
@@ -117,7 +118,7 @@ def _worker(
     process = subprocess.Popen(  # noqa: S603 - no shell; this very interpreter
         # -P: not the working directory, where anything may lie.
         [sys.executable, "-P", "-m", _WORKER],
-        env={**os.environ, **_ENVIRONMENT, "PYTHONPATH": search},
+        env={**os.environ, **_ENVIRONMENT, **ending_with_this(), "PYTHONPATH": search},
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
     )

@@ -1,6 +1,6 @@
 """Computes the stages asked for on standard input, until it ends: ``python -m`` of this module.
 
-Whoever started it handles Ctrl-C. A parent that has died is noticed at the next word to it.
+Whoever started it handles Ctrl-C, and takes it along when it dies.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import traceback
 from typing import IO, Any
 
 from calib.core.errors import CalibError
+from calib.core.parent import end_with_parent
 from calib.stages.message import receive, send
 
 ASKED_TO_END = 128 + signal.SIGTERM
@@ -49,6 +50,7 @@ def serve(requests: IO[bytes], replies: IO[bytes]) -> None:
 
 def main() -> None:
     """Serve, with all that libraries may print kept out of the replies."""
+    end_with_parent()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(ASKED_TO_END))
     replies = os.fdopen(os.dup(sys.stdout.fileno()), "wb")

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -315,3 +316,23 @@ def test_what_never_ends_is_no_calibration(
     ended = call(capsys, "history", "check", run / "calibration.json", "/dev/zero", "readings")
     assert ended.status == 2
     assert "too large for a check standard" in ended.err
+
+
+def test_nobody_waits_for_a_pipe_that_lies_in_a_folder(
+    run: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (run / "manifest.json").rename(run / "kept")
+    os.mkfifo(run / "manifest.json")
+    ended = call(capsys, "measure", run / "calibration.json", "table")
+    assert (ended.status, "missing or damaged" in ended.err) == (2, True)
+    (run / "manifest.json").unlink()
+    (run / "kept").rename(run / "manifest.json")
+    for name in ("report.html", "calibration.json"):
+        (run / name).unlink()
+        os.mkfifo(run / name)
+        ended = call(capsys, "verify", run)
+        assert (ended.status, "no plain file" in ended.err) == (2, True)
+    ended = call(capsys, "compare", run, run)
+    assert (ended.status, "no plain file" in ended.err) == (2, True)
+    ended = call(capsys, "history", "index", run)
+    assert (ended.status, "0 calibrations found" in ended.out) == (3, True)

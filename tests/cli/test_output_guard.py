@@ -6,19 +6,24 @@ Evidence: property, over every output of the parser, so that a new option cannot
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import sqlite3
 import stat
+from datetime import date
 from pathlib import Path
 
 import pytest
 from command import GOOD, call, commands, dataset, tree
+from test_measure import calibration
 
 from calib.cli.arguments import PathRole, guard_outputs, roles
 from calib.cli.main import parser
 from calib.core.errors import UsageError
-from calib.stages.output_guard import guarded
+from calib.stages.output_guard import files_of, guarded
 from calib.stages.owner import Owner, claim
+from calib.stages.store import Store
+from tests.history.test_index import TRUTH, written
 
 COMMANDS = list(commands(parser()))
 OUTPUTS = [
@@ -104,6 +109,119 @@ def test_folder_spares_what_is_above_files_and_folders_of_others(
         with pytest.raises(UsageError):
             asked(command, role, out, data)
     asked(command, role, tmp_path / "new", data)
+
+
+MARKED = [one for one in FOLDERS if not one.values[1].writes.is_new]
+
+
+@pytest.mark.parametrize(("command", "role"), MARKED)
+def test_a_folder_is_known_by_what_its_files_say(
+    command: argparse.ArgumentParser, role: PathRole, tmp_path: Path
+) -> None:
+    """Files of the names that the command writes, made by somebody else."""
+    kind = role.writes
+    assert kind is not None
+    assert kind.files, "a folder that is added to needs a mark"
+    by_content = {pattern: marks for pattern, marks in kind.files if marks}
+    assert by_content
+    for pattern, marks in by_content.items():
+        folder = tmp_path / pattern.replace("*", "star").replace("/", "-")
+        theirs, name = folder / pattern.replace("*", "index"), pattern.replace("*", "index")
+        theirs.parent.mkdir(parents=True)
+        theirs.write_text("mine\n")
+        (folder / "letter.txt").write_text("dear")
+        with pytest.raises(UsageError, match="another origin"):
+            asked(command, role, folder, tmp_path / "none")
+        theirs.write_bytes(b"\n" + marks[0] + b"\n")
+        asked(command, role, folder, tmp_path / "none")
+        # In a folder of its own each file is looked at.
+        theirs.write_text("mine\n")
+        with pytest.raises(UsageError, match="another origin"):
+            files_of(folder, [name], kind, option=role.option)
+        assert files_of(folder, [name], kind, option=role.option, force=True)
+        # A link is written through, if its target passes.
+        theirs.unlink()
+        (tmp_path / "target").write_bytes(marks[0])
+        theirs.symlink_to(tmp_path / "target")
+        assert files_of(folder, [name], kind, option=role.option)[name] == tmp_path / "target"
+        (tmp_path / "target").write_text("mine\n")
+        with pytest.raises(UsageError, match="another origin"):
+            files_of(folder, [name], kind, option=role.option)
+
+
+def test_only_what_is_made_anew_has_no_force() -> None:
+    for command in COMMANDS:
+        writes = [role.writes for role in roles(command) if role.writes is not None]
+        offers = "--force" in command._option_string_actions
+        assert offers is any(not kind.is_new for kind in writes), command.prog
+
+
+FOREIGN = {
+    "export": (
+        ["export", "c.json", "--format", "opencv", "--out", "OUT"],
+        ("c1.yaml", "c2.yaml"), ("stereo.yaml", "# calib export"),
+    ),
+    "page": (
+        ["history", "page", "--out", "OUT"],
+        ("index.html", "R1.html"), ("R2.html", 'content="calib history page"'),
+    ),
+    "batch": (
+        ["batch", "d", "--out", "OUT"],
+        ("batch.csv",), ("batch.html", 'content="calib batch"'),
+    ),
+    "study": (
+        ["study", "--rigs", "1", "--out", "OUT"],
+        ("rigs.jsonl", "scores.csv", "ranks.svg"), ("scores.json", '"generator": "calib '),
+    ),
+    "calibrate": (
+        ["calibrate", "d", "--out", "OUT"],
+        ("report.html", "calibration.json"), (".lock", ""),
+    ),
+}  # fmt: skip
+"""A command, files of somebody else under names that it writes, and one of its own."""
+
+
+@pytest.mark.parametrize("beside_ours", [False, True])
+@pytest.mark.parametrize(("arguments", "theirs", "ours"), FOREIGN.values(), ids=FOREIGN.keys())
+def test_files_of_others_under_our_names_are_spared(
+    arguments: list[str],
+    theirs: tuple[str, ...],
+    ours: tuple[str, str],
+    beside_ours: bool,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    dataset(tmp_path / "d", GOOD)
+    (tmp_path / "c.json").write_text(json.dumps(calibration()))
+    written(tmp_path / "runs" / "r1", TRUTH, rig="R1", day=date(2026, 1, 2))
+    assert call(capsys, "history", "index", "runs").status == 0
+    out = tmp_path / "out"
+    out.mkdir()
+    if beside_ours:
+        (out / ours[0]).write_text(ours[1])
+    for name in theirs:
+        (out / name).write_text("mine\n")
+    ended = call(capsys, *(a.replace("OUT", str(out)) for a in arguments))
+    assert ended.status == 2, ended.err
+    assert "another origin" in ended.err
+    assert len(ended.err.splitlines()) == 1
+    assert {name: (out / name).read_text() for name in theirs} == dict.fromkeys(theirs, "mine\n")
+
+
+def test_a_lock_and_temporary_files_of_others_are_spared(tmp_path: Path) -> None:
+    store = Store(tmp_path / "run")
+    letter, notes = tmp_path / "letter", tmp_path / "run" / ".notes.part"
+    letter.write_text("dear")
+    notes.write_text("mine")
+    with store.locked():
+        assert notes.read_text() == "mine"
+    (tmp_path / "run" / ".lock").unlink()
+    (tmp_path / "run" / ".lock").symlink_to(letter)
+    with pytest.raises(UsageError, match="cannot be written"), store.locked():
+        pass
+    assert letter.read_text() == "dear"
 
 
 def has_input(command: argparse.ArgumentParser) -> bool:

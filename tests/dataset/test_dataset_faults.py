@@ -199,6 +199,11 @@ FAULTS = {
         {},
         ["[cameras.c1] images", "'**'"],
     ),
+    "pattern of many stars": (
+        replaced(WITH_IMAGES, "c1/*.png", "c1/a**.png"),
+        {},
+        ["[cameras.c1] images", "'**'"],
+    ),
     "error of groups without groups": (
         replaced(MANIFEST, "u_z_rel = 0.002", "u_z_group_rel = 0.002"),
         {},

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from dataset_examples import GAZE, MANIFEST, PNG, assert_problem, replaced, write_dataset
+from dataset_examples import GAZE, MANIFEST, PNG, assert_problem, png, replaced, write_dataset
 
 from calib.core.errors import InputError
 from calib.dataset.faults import parse_manifest
@@ -54,7 +54,9 @@ alpha2_deg = 87.01875
 def image_dataset(folder: Path, manifest: str = IMAGE_MANIFEST) -> Path:
     images = {f"intrinsics___{c}___{i}__png": PNG for c in ("c1", "c2") for i in range(6)}
     images |= {f"stereo___{c}___p{i}__png": PNG for c in ("c1", "c2") for i in range(5)}
-    images |= {f"{name}__png": PNG for name in ("g", "h", "s1", "s2")}
+    images |= {f"{name}__png": PNG for name in ("g", "s1", "s2")}
+    # A row's picture by C2 is another than that of its pair.
+    images["h__png"] = png(data=bytes([0, *[9] * 400]) * 300)
     rows = "".join(f"{i},g.png,{86 + i},h.png,p{i}\n" for i in range(5))
     return write_dataset(
         folder,

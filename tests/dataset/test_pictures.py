@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import struct
 from pathlib import Path
 
 import cv2
@@ -61,6 +62,98 @@ def test_fragments_are_no_picture(length: int) -> None:
         for _ in range(20):
             data[rng.integers(len(data))] = rng.integers(256)
             picture_header(io.BytesIO(bytes(data)))
+
+
+def tiff(width: int, height: int, *, order: str = "<", bits: int = 16, samples: int = 1) -> bytes:
+    """Return a TIFF file with eight bytes for its pixels."""
+    tags = {256: width, 257: height, 258: bits, 259: 1, 262: 1, 273: 8, 277: samples, 279: 8}
+    mark = b"II*\0" if order == "<" else b"MM\0*"
+    entries = [struct.pack(order + "HHII", tag, 4, 1, value) for tag, value in tags.items()]
+    return mark + struct.pack(order + "I8xH", 16, len(tags)) + b"".join(entries) + bytes(4)
+
+
+def bmp(width: int, height: int, *, bits: int = 24, compression: int = 0) -> bytes:
+    start = struct.pack("<2sIHHI", b"BM", 2000, 0, 0, 1078)
+    head = struct.pack("<IiiHHIIiiII", 40, width, height, 1, bits, compression, 99, 0, 0, 256, 0)
+    return start + head + bytes(1200)
+
+
+def jpeg(width: int, height: int, frame: int) -> bytes:
+    """Return a JPEG file whose frame states another size; `frame` is its marker."""
+    progressive = [cv2.IMWRITE_JPEG_PROGRESSIVE, int(frame == 0xC2)]
+    data = bytearray(cv2.imencode(".jpg", NOISE, progressive)[1].tobytes())
+    at = data.index(bytes([0xFF, frame]))
+    data[at + 5 : at + 9] = struct.pack(">HH", height, width)
+    return bytes(data)
+
+
+def webp(width: int, height: int, kind: str) -> bytes:
+    quality = 101 if kind == "lossless" else 90
+    encoded = cv2.imencode(".webp", COLOUR, [cv2.IMWRITE_WEBP_QUALITY, quality])[1].tobytes()
+    data = bytearray(encoded)
+    if kind == "extended":
+        sides = (n.to_bytes(3, "little") for n in (width - 1, height - 1))
+        chunks = b"WEBPVP8X" + struct.pack("<I4x", 10) + b"".join(sides) + encoded[12:]
+        return b"RIFF" + struct.pack("<I", len(chunks)) + chunks
+    if kind == "lossless":
+        data[21:25] = struct.pack("<I", (width - 1) | (height - 1) << 14)
+    else:
+        data[26:30] = struct.pack("<HH", width, height)
+    return bytes(data)
+
+
+BOMBS = {
+    "TIFF": (tiff(30000, 30000), "30000 x 30000 px of 16 bit, 900 million"),
+    "TIFF, big end first": (tiff(30000, 30000, order=">"), "900 million"),
+    "TIFF of 4 billion": (tiff(2**32 - 1, 2**32 - 1), "4294967295 x 4294967295 px"),
+    "deep TIFF": (tiff(12000, 12000, bits=64), "1 x 64 bit, more than 1 GiB"),
+    "TIFF of many samples": (tiff(9000, 9000, samples=2**16 - 1), "65535 x 16 bit"),
+    "BMP": (bmp(30000, 30000), "30000 x 30000 px of 24 bit"),
+    "BMP from the top": (bmp(30000, -30000), "30000 x 30000 px"),
+    "BMP, least sides": (bmp(-(2**31), -(2**31)), "2147483648 x 2147483648 px"),
+    "BMP, run lengths": (bmp(30000, 30000, bits=8, compression=1), "30000 x 30000 px of 8 bit"),
+    "JPEG": (jpeg(65500, 65500, 0xC0), "65500 x 65500 px of 8 bit"),
+    "progressive JPEG": (jpeg(65500, 65500, 0xC2), "65500 x 65500 px"),
+    "WebP": (webp(16383, 16383, "lossy"), "16383 x 16383 px"),
+    "lossless WebP": (webp(16384, 16384, "lossless"), "16384 x 16384 px"),
+    "extended WebP": (webp(2**24, 2**24, "extended"), "16777216 x 16777216 px"),
+    "PGM": (b"P5 30000 30000 65535\n" + bytes(100), "30000 x 30000 px of 16 bit"),
+    "PGM without end": (b"P5 " + b"9" * 40 + b" 9 255\n", "999999999999 x 9 px"),
+    "PNG": (png(2**31 - 1, 2**31 - 1, data=b"0"), "2147483647 x 2147483647 px"),
+}
+
+
+@pytest.mark.parametrize(("data", "said"), BOMBS.values(), ids=BOMBS.keys())
+def test_giant_headers_of_all_formats(
+    data: bytes, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Property: named by what the header says, and never decoded; so memory stays small."""
+
+    def decoded(*_: object) -> None:
+        raise AssertionError("decoded")
+
+    monkeypatch.setattr(cv2, "imdecode", decoded)
+    assert len(data) < 10_000
+    (tmp_path / "a.img").write_bytes(data)
+    with pytest.raises(InputError, match=said) as caught:
+        read_grey(tmp_path / "a.img", name="a.img")
+    assert str(caught.value).startswith("a.img: ")
+    folder = image_dataset(tmp_path / "d")
+    (folder / "intrinsics/c1/3.png").write_bytes(data)
+    assert_problem(problems_of(folder), "intrinsics/c1/3.png", said)
+
+
+def test_a_tag_twice_is_no_picture() -> None:
+    """Decoders differ in which one they believe."""
+    data = bytearray(tiff(30000, 30000))
+    at = 18 + 12 * 2  # the depth becomes another width
+    data[at : at + 12] = struct.pack("<HHII", 256, 4, 1, 100)
+    assert picture_header(io.BytesIO(bytes(data))) is None
+
+
+def test_a_picture_of_one_grey_is_read(tmp_path: Path) -> None:
+    (tmp_path / "a.png").write_bytes(png(40, 30, bits=16, data=bytes((1 + 80) * 30)))
+    assert not read_grey(tmp_path / "a.png", name="a.png").any()
 
 
 def test_a_picture_that_claims_a_billion_pixels(tmp_path: Path) -> None:

@@ -5,17 +5,26 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.history.due import LONGEST, RANDOM_WALK, RISK, STAIRCASE, _filtered, next_due
+from calib.history.due import FEWEST, LONGEST, RANDOM_WALK, RISK, STAIRCASE, _filtered, next_due
 
 
 def out_of_tolerance(
-    rng: np.random.Generator, *, calibrations: int, fleet: int, jumps: float, tolerance: float
+    rng: np.random.Generator,
+    *,
+    calibrations: int,
+    fleet: int,
+    jumps: float,
+    tolerance: float,
+    repairs: float = 0.0,
+    stated: bool = True,
 ) -> float:
     """Return the share of rigs out of tolerance at the date proposed; tolerance in u.
 
     Out is what has moved from the state estimated at the last calibration. Rates vary as rigs
     do, 1 in log variance about the prior's mean; `jumps` is the chance of a step of 4 u in an
-    interval. Rigs that are due at once count as they stand.
+    interval. Rigs that are due at once count as they stand. `repairs` is the chance of a repair in
+    an interval, which puts the rig elsewhere by tens of u; calibrations before the last one that is
+    stated do not count, and three remain.
     """
     out = []
     while len(out) < fleet:
@@ -23,8 +32,15 @@ def out_of_tolerance(
         days = np.arange(calibrations) * 180.0
         step = np.sqrt(rate) * rng.standard_normal(calibrations - 1)
         step += 4 * rng.choice([-1, 1], calibrations - 1) * (rng.random(calibrations - 1) < jumps)
+        repaired = rng.random(calibrations - 1) < repairs
+        step += 30 * rng.standard_normal(calibrations - 1) * repaired
         state = np.r_[0.0, np.cumsum(step)]
         x, u = state + rng.standard_normal(calibrations), np.ones(calibrations)
+        if stated:
+            kept = int(np.flatnonzero(np.r_[True, repaired])[-1])
+            if calibrations - kept < FEWEST:
+                continue
+            state, x, u, days = state[kept:], x[kept:], u[kept:], days[kept:]
         due = next_due(days, x, u, tolerance=tolerance)
         weight, mean, _, _ = _filtered(days, x, u)
         p = np.exp(weight - weight.max())
@@ -37,11 +53,15 @@ def out_of_tolerance(
 @pytest.mark.slow
 @pytest.mark.parametrize("calibrations", [3, 5, 10, 20])
 @pytest.mark.parametrize(("tolerance", "jumps"), [(1.3, 0.0), (1.3, 0.02), (3.0, 0.02)])
-def test_out_of_tolerance_at_the_date(calibrations: int, tolerance: float, jumps: float) -> None:
+@pytest.mark.parametrize("repairs", [0.0, 0.05])
+def test_out_of_tolerance_at_the_date(
+    calibrations: int, tolerance: float, jumps: float, repairs: float
+) -> None:
     """At 1.3 u the risk decides the date, at 3 u mostly the cap."""
     share = out_of_tolerance(
         np.random.default_rng(calibrations),
         calibrations=calibrations, fleet=1500, jumps=jumps, tolerance=tolerance,
+        repairs=repairs,
     )  # fmt: skip
     # Where jumps and the risk decide together 6 % is what is stated, here of a sample.
     allowed = 2 * np.sqrt(0.06 * 0.94 / 1500) if (tolerance, jumps) == (1.3, 0.02) else 0.0

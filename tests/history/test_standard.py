@@ -15,8 +15,9 @@ from calib.core.errors import InputError
 from calib.geometry.parameters import vector
 from calib.geometry.plane import gaze_at
 from calib.history.causes import CAUSES
+from calib.history.certified import Depth, Length, Standard
 from calib.history.read_standard import read_standard
-from calib.history.standard import Depth, Length, Standard, check_standard
+from calib.history.standard import check_standard
 from calib.history.standard_text import alarm, findings
 from calib.instrument.calibration_file import Measuring, read_calibration
 from tests.instrument.test_python_rig import NAMES, U_ALPHA, U_X, VALUES, file
@@ -203,6 +204,7 @@ def test_two_targets_at_one_place_are_refused(measuring: Measuring) -> None:
         (("u_mm = 0.1", "u_mm = nan"), "u_mm"),
         (("serial", "serials"), "serial"),
         (("[[length]]", "[[length"), "is no TOML"),
+        (("[[length]]", '[targets]\nE = "blob"\n[[length]]'), "E is in no length"),
     ],
 )
 def test_bad_standards_are_refused(tmp_path: Path, change: tuple[str, str], told: str) -> None:
@@ -210,3 +212,17 @@ def test_bad_standards_are_refused(tmp_path: Path, change: tuple[str, str], told
     path.write_text(STANDARD.replace(*change))
     with pytest.raises(InputError, match=told):
         read_standard(path)
+
+
+@pytest.mark.parametrize(
+    ("u", "told"),
+    [("0", "no uncertainty"), ("-1", "no uncertainty"), ("x", "no uncertainty"),
+     ("0.1", "without u1_px")],
+)  # fmt: skip
+def test_uncertainties_of_pixels_that_are_none_are_refused(
+    measuring: Measuring, u: str, told: str
+) -> None:
+    lines = readings(np.random.default_rng(0), 3).splitlines()
+    text = "\n".join([lines[0] + ",u_c1_px", lines[1] + f",{u}", *(one + "," for one in lines[2:])])
+    with pytest.raises(InputError, match=rf"r\.csv, line 2: u_c1_px .*{told}"):
+        check_standard(measuring, standard(), text, name="r.csv")

@@ -238,6 +238,20 @@ def test_charuco_in_part() -> None:
     assert np.sqrt(np.nanmean((found.pixels - exact) ** 2)) < 0.1
 
 
+def test_an_inverted_charuco_board_is_found_and_told(tmp_path: Path) -> None:
+    held = scenes.poses(2, np.random.default_rng(13), board=CHARUCO, place=near)
+    names = [
+        write(tmp_path, f"{i}.png", 255 - picture(pose, CHARUCO, seed=i))
+        for i, pose in enumerate(held)
+    ]
+    found = detect(tmp_path, names, CHARUCO, image_size=scenes.SIZE)
+    assert found.detector == ("charuco:inverted",) * 2
+    exact = np.array([scenes.seen_by(scenes.CAMERA, pose, CHARUCO) for pose in held])
+    assert np.sqrt(np.nanmean((found.pixels - exact) ** 2)) < 0.06
+    assert "black and white are exchanged" in found.remarks[0]
+    assert "2 of 2 pictures" in found.remarks[0]
+
+
 def test_charuco_with_too_few_corners_is_not_found() -> None:
     pose = scenes.poses(1, np.random.default_rng(12), board=CHARUCO, place=near)[0]
     exact = scenes.seen_by(scenes.CAMERA, pose, CHARUCO)

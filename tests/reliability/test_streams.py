@@ -62,6 +62,8 @@ def shell(folder: Path, command: str, **env: str) -> subprocess.CompletedProcess
         ("calib measure c.json t.csv <&- >&- 2>&-", 2, ""),
         ("calib history show --index nowhere >&-", 2, "nowhere"),
         ("calib --help >/dev/full", 2, "standard output cannot be written"),
+        ("calib --version >/dev/full", 2, "standard output cannot be written"),
+        ("calib measure --help >/dev/full", 2, "standard output cannot be written"),
         ("calib --version >&-", 2, "standard output cannot be written"),
     ],
 )
@@ -72,6 +74,17 @@ def test_streams(command: str, status: int, word: str, folder: Path) -> None:
     assert len(ended.stderr.splitlines()) == (1 if word else 0), ended.stderr
     if "--out" in command:
         assert "ä" in (folder / "o.csv").read_text(encoding="utf-8")
+
+
+def test_a_full_standard_error_ends_no_work(folder: Path) -> None:
+    """Property: a batch goes on to its last dataset, and writes its summary."""
+    for name in ("a", "b"):
+        (folder / name).mkdir()
+        (folder / name / "dataset.toml").write_text("format = 1\n")
+    ended = shell(folder, "calib batch a b --out out --jobs 1 2>/dev/full")
+    assert ended.returncode == 2
+    assert "2 datasets: 2 refused" in ended.stdout
+    assert (folder / "out" / "batch.csv").read_text().count("refused") == 2
 
 
 def test_no_stream_takes_what_is_meant_for_a_file(folder: Path) -> None:

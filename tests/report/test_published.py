@@ -13,6 +13,7 @@ from calib.core.errors import InputError
 from calib.dataset.load import load_dataset
 from calib.geometry.poses import invert_pose
 from calib.report.sections.published import published
+from calib.results.published import contradictions
 
 
 def test_differences_in_units_of_their_uncertainty() -> None:
@@ -28,6 +29,18 @@ def test_differences_in_units_of_their_uncertainty() -> None:
     (row,) = section.blocks[-1].rows
     assert row[-1].text == "+5.0"
     assert row[-1].mark == "bad"
+
+
+def test_contradictions_are_told_in_one_line_and_agreement_is_not() -> None:
+    calibration, _ = everything()
+    lens = calibration.images.intrinsics["c1"]
+    value, u = float(lens.camera.matrix[0, 0]), float(np.sqrt(lens.covariance[0, 0]))
+    known = {"c1.fx": (value - 4 * np.hypot(u, 0.5), 0.5), "c1.cx": (lens.camera.matrix[0, 2], 1.0)}
+    (told,) = contradictions(calibration.images, known)
+    assert "c1.fx" in told
+    assert "(+4.0)" in told
+    assert "c1.cx" not in told
+    assert list(contradictions(calibration.images, {"c1.cx": known["c1.cx"]})) == []
 
 
 def test_nothing_published_nothing_written() -> None:

@@ -175,6 +175,9 @@ def test_interruption_ends_what_a_stage_has_started(tmp_path: Path) -> None:
 
 def test_workers_do_not_outlive_a_killed_run(tmp_path: Path) -> None:
     with run_apart(tmp_path) as (process, workers):
+        # Stopped, they notice nothing and say nothing.
+        for worker in workers:
+            os.kill(worker, signal.SIGSTOP)
         process.kill()
         process.wait()
         wait_for(lambda: not any(map(is_running, workers)))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 
 import cv2
@@ -36,6 +37,10 @@ WINDOW_MIN_PX, WINDOW_MAX_PX = 5, 20
 picture allows it nevertheless, being blurred; in others OpenCV's corner is the better one."""
 
 
+INVERTED = "charuco:inverted"
+"""Detector of boards whose black and white are exchanged."""
+
+
 class CharucoFinder:
     """A detector for one board. Not shared between threads: OpenCV's keeps state.
 
@@ -66,7 +71,15 @@ class CharucoFinder:
         self._detector = cv2.aruco.CharucoDetector(made)
 
     def find(self, grey: Grey) -> Found:
-        """Look for the board in a grey picture; corners not seen are NaN."""
+        """Look for the board in a grey picture, then in its negative; corners not seen are NaN."""
+        found = self._find(grey)
+        if found.detector == "none":
+            negative = self._find(cv2.bitwise_not(grey))
+            if negative.detector != "none":
+                return replace(negative, detector=INVERTED)
+        return found
+
+    def _find(self, grey: Grey) -> Found:
         factor = ENLARGEMENT if max(grey.shape) <= ENLARGE_SIDE_PX else 1
         if factor > 1:
             grey = cv2.resize(grey, None, fx=factor, fy=factor, interpolation=cv2.INTER_CUBIC)

@@ -15,7 +15,7 @@ from calib.core.arrays import FloatArray
 from calib.core.errors import InputError, Problem
 from calib.geometry.board import Board, Corners
 from calib.images.detection.board import CHESSBOARD_DETECTORS, Found, find_chessboard, other_count
-from calib.images.detection.charuco import CharucoFinder
+from calib.images.detection.charuco import INVERTED, CharucoFinder
 from calib.images.detection.marks import marker_dictionary, window_pattern
 from calib.images.detection.picture import Grey, read_grey
 from calib.images.opencv import steady_opencv
@@ -33,6 +33,9 @@ more memory than two pictures' is not needed."""
 LARGER_MIN = 3
 """Pictures that must show the board go on beyond its declared size; clutter beside the board does
 it in one of 25."""
+
+NAMED = 5
+"""Pictures that are named at most."""
 
 COUNT_TRIED_ON = 3
 """Pictures in which boards of other counts are sought when the declared one is in none."""
@@ -99,6 +102,7 @@ def detect(
         problems = problems or _wrong_count(root, read, board)
         if not problems:
             found, remarks = _undisturbed(root, found, board)
+            remarks = (*remarks, *_inverted(found))
     if problems:
         raise InputError(problems)
     views = [found[name] for name in images]
@@ -140,6 +144,19 @@ def _undisturbed(
             'is, type = "charuco" with dictionary and marker_mm in [board]'
         )
     return found | changed, (words,)
+
+
+def _inverted(found: Mapping[str, Found]) -> tuple[str, ...]:
+    """Say that boards were seen with black and white exchanged."""
+    names = [name for name, view in found.items() if view.detector == INVERTED]
+    if not names:
+        return ()
+    named = ", ".join(names[:NAMED]) + (", ..." if len(names) > NAMED else "")
+    return (
+        f"black and white are exchanged on the ChArUco board in {len(names)} of {len(found)} "
+        f"pictures ({named}): it was found in their negatives. Corners are as good; if the board "
+        "is printed the usual way, look what inverts the pictures",
+    )
 
 
 class _Search:

@@ -95,7 +95,9 @@ def _decode(data: bytes) -> NDArray[np.generic] | None:
     """Return the decoded image, or None if it is none."""
     try:
         image: NDArray[np.generic] | None = cv2.imdecode(np.frombuffer(data, np.uint8), _READ)
-    except cv2.error:
+    except cv2.error as error:
+        if error.code == cv2.Error.StsNoMem:
+            raise MemoryError from None
         return None
     return image
 
@@ -103,7 +105,7 @@ def _decode(data: bytes) -> NDArray[np.generic] | None:
 def _to_8_bit(image: FloatArray) -> Grey:
     """Scale the range of the content, but for its tails, to 0 to 255."""
     low, high = np.nanquantile(image, [TAIL_SHARE, 1 - TAIL_SHARE])
-    scaled = (image - low) * (255.0 / max(high - low, np.finfo(np.float64).tiny))
+    scaled = (image - low) * (255.0 / (high - low) if high > low else 0.0)
     grey: Grey = np.clip(np.nan_to_num(scaled), 0, 255).round().astype(np.uint8)
     return grey
 

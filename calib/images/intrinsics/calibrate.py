@@ -294,6 +294,7 @@ def _assemble(
     inliers = np.where(np.isfinite(selected.residuals), corners.pixels, np.nan)
     coverage = measure_coverage(inliers, corners.image_size)
     at = nodes(inliers, corners.image_size)
+    uncertainty = map_uncertainty(enlarged, at)
     agreement, splined, others = _differences(enlarged, selected, backends, lens, at)
     unused = seen(corners.pixels).any(axis=-1) & ~_views_of(selected)
     flipped = flipped_pictures(
@@ -318,6 +319,7 @@ def _assemble(
         agreement=agreement,
         flat=flat,
         left_out=left_out,
+        uncertainty=uncertainty,
     )
     return Intrinsics(
         name=camera,
@@ -334,7 +336,7 @@ def _assemble(
         rejected_views=tuple(corners.images[i] for i in np.flatnonzero(unused)),
         detectors=dict(Counter(corners.detector)),
         coverage=coverage,
-        uncertainty=map_uncertainty(enlarged, at),
+        uncertainty=uncertainty,
         differences=tuple(d for d in (agreement, splined, *others) if d is not None),
         validation=validation,
         model_files=mrcal.model_files,

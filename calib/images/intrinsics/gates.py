@@ -13,13 +13,21 @@ from calib.geometry.board import LensFit
 from calib.geometry.poses import rotation
 from calib.images.bundle import finite
 from calib.images.checks import fit_gate, gate
-from calib.images.intrinsics.maps import Coverage, LensDifference
+from calib.images.intrinsics.maps import Coverage, LensDifference, LensMap
 from calib.images.intrinsics.validate import CrossValidation
 
 COVERAGE_MIN = 0.5
 """Share of the imager's cells that must hold corners: the lens model is only interpolated between
 corners. Thirteen pictures of a hand-held board (OpenCV's) cover 0.67 to 0.71; boards kept in the
 middle of the picture 0.2 to 0.3."""
+
+COVERAGE_LEAST = 0.3
+"""Share that will do where the projection is certain on them (`FIELD_STD_MAX`): then the pictures
+show what they need to, and whether rows look farther out is asked of the rows."""
+
+FIELD_STD_MAX = 0.002
+"""Standard deviation of the projection, rms over the field in use, in parts of the focal length:
+about what a row's gaze is good to (Xu and Wang's encoder steps 0.6 mrad)."""
 
 CROSS_VALIDATION_MAX = 1.3
 """A view left out over the same view fitted, rms, in the median view. Good pictures give 1.01 at 20
@@ -133,6 +141,7 @@ def intrinsics_gates(
     agreement: LensDifference | None,
     left_out: LeftOut,
     flat: LensDifference | None = None,
+    uncertainty: LensMap | None = None,
 ) -> tuple[Gate, ...]:
     """Return the gates on the intrinsics of one camera.
 
@@ -148,9 +157,11 @@ def intrinsics_gates(
         Difference to OpenCV on the board as drawn.
     left_out
         Pictures of which the fit rejected most corners.
+    uncertainty
+        Of the projection, where it is to decide on the coverage.
     """
     gates = [
-        _coverage_gate(name, coverage, fit.poses),
+        _coverage_gate(name, coverage, fit, uncertainty),
         _residual_gate(name, fit, left_out),
         _validation_gate(name, validation),
         _focal_gate(name, fit),
@@ -194,13 +205,26 @@ def _residual_gate(name: str, fit: LensFit, left_out: LeftOut) -> Gate:
     return fit_gate(f"{name}-residuals", fit.residuals, rejected, remedy=remedy, left_out=said)
 
 
-def _coverage_gate(name: str, coverage: Coverage, poses: FloatArray) -> Gate:
-    still = _at_one_place(poses[finite(poses)])
+def _coverage_gate(
+    name: str, coverage: Coverage, fit: LensFit, uncertainty: LensMap | None
+) -> Gate:
+    still = _at_one_place(fit.poses[finite(fit.poses)])
+    passed, said = coverage.share >= COVERAGE_MIN, ""
+    enough = coverage.share >= COVERAGE_LEAST and not still
+    if not passed and uncertainty is not None and enough:
+        known = uncertainty.std_px[uncertainty.covered]
+        relative = float(np.sqrt(np.mean(known**2)) / fit.camera.matrix[0, 0])
+        passed = relative <= FIELD_STD_MAX
+        said = (
+            f"; on them the projection is certain to {100 * relative:.3f} % of the focal length "
+            f"(with less than {100 * COVERAGE_MIN:.0f} % at most {100 * FIELD_STD_MAX:g})"
+        )
     return gate(
         f"{name}-coverage",
-        coverage.share >= COVERAGE_MIN,
+        passed,
         f"corners in {100 * coverage.share:.0f} % of the imager's cells (at least "
-        f"{100 * COVERAGE_MIN:.0f}), out to {100 * coverage.reach:.0f} % of its half diagonal"
+        f"{100 * (COVERAGE_LEAST if passed else COVERAGE_MIN):.0f}), out to "
+        f"{100 * coverage.reach:.0f} % of its half diagonal{said}"
         + ("; the board stood at one place" if still else ""),
         remedy="add pictures with the board at the edges and corners of the imager",
     )

@@ -43,6 +43,7 @@ def refine(found: Intrinsics, lens: RefinedLens, corners: Corners) -> Intrinsics
     )
     inliers = np.where(np.isfinite(fit.residuals), pixels, np.nan)
     at = nodes(inliers, corners.image_size)
+    uncertainty = map_uncertainty(fit, at)
     coverage = measure_coverage(inliers, corners.image_size)
     lost = seen(pixels).any(axis=-1) & ~seen(fit.residuals).any(axis=-1)
     dropped = tuple(lens.images[i] for i in np.flatnonzero(lost))
@@ -53,6 +54,7 @@ def refine(found: Intrinsics, lens: RefinedLens, corners: Corners) -> Intrinsics
         found.validation,
         agreement=None,
         left_out=views_left_out(lens.images, pixels, fit.residuals),
+        uncertainty=uncertainty,
     )
     before, kept = found.selected, (f"{found.name}-backends", f"{found.name}-way-up")
     return replace(
@@ -66,7 +68,7 @@ def refine(found: Intrinsics, lens: RefinedLens, corners: Corners) -> Intrinsics
         images=lens.images,
         rejected_views=(*found.rejected_views, *dropped),
         coverage=coverage,
-        uncertainty=map_uncertainty(fit, at),
+        uncertainty=uncertainty,
         differences=(*found.differences, compare(fit, rays_of(before, at), at)),
         gates=(*gates, *(g for g in found.gates if g.name in kept)),
         purposes=dict(Counter(lens.kinds)),

@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calib.core.arrays import BoolArray, FloatArray
+from calib.core.arrays import BoolArray, FloatArray, IntArray
 from calib.geometry.poses import transform
 from calib.images.bundle import finite
 from calib.images.joint.reduced import dispersion
@@ -121,8 +121,17 @@ def _changes(joint: JointSolve, told: dict[int, FloatArray], between: str) -> li
     ]
 
 
-class _Estimate(NamedTuple):
-    """Changes of k cameras, their u with dispersion, the factors, and chi squared without."""
+def _estimate(joint: JointSolve, told: dict[int, FloatArray]) -> Estimate | None:
+    """Return the changes of focal length of the cameras together; None where they stay open."""
+    at = [joint.problem.at_lens(c) for c in told]
+    way = np.zeros((len(told), joint.problem.images.views, joint.problem.size))
+    for k, x in enumerate(told.values()):
+        way[k][:, at[k][:2]] = x[:, None] * joint.reduced.at.shared[at[k][:2]]
+    return estimate(joint, way, at)
+
+
+class Estimate(NamedTuple):
+    """Changes along k ways, their u with dispersion, the factors, and chi squared without."""
 
     beta: FloatArray
     std: FloatArray
@@ -130,13 +139,17 @@ class _Estimate(NamedTuple):
     squares: float
 
 
-def _estimate(joint: JointSolve, told: dict[int, FloatArray]) -> _Estimate | None:
-    """Return the changes of the cameras together; None where something leaves them open."""
+def estimate(joint: JointSolve, way: FloatArray, at: list[IntArray]) -> Estimate | None:
+    """Return the changes along ways together; None where something leaves them open.
+
+    Parameters
+    ----------
+    way
+        How the shared unknowns of each view change with 1 along each way, shape (k, v, n).
+    at
+        Places of the unknowns in which the views' disagreement counts, of each way.
+    """
     reduced, spread = joint.reduced, joint.reduced.spread()
-    at = [joint.problem.at_lens(c) for c in told]
-    way = np.zeros((len(told), joint.problem.images.views, joint.problem.size))
-    for k, x in enumerate(told.values()):
-        way[k][:, at[k][:2]] = x[:, None] * reduced.at.shared[at[k][:2]]
     along = np.einsum("vij,kvj->kvi", reduced.normals, way)
     mixed = along.sum(axis=1)
     plain = np.einsum("kvi,lvi->kl", along, way)
@@ -154,4 +167,4 @@ def _estimate(joint: JointSolve, told: dict[int, FloatArray]) -> _Estimate | Non
     left = replace(reduced, scores=scores)
     factors = np.array([dispersion(left, own, joint.clusters) for own in at])
     std = np.sqrt(factors * np.diag(variance))
-    return _Estimate(beta, std, factors, float(beta @ information @ beta))
+    return Estimate(beta, std, factors, float(beta @ information @ beta))

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from calib.core.errors import CalibError, EstimationError
 from calib.core.mrcal_python import INTERPRETER_VARIABLE, mrcal_interpreter
+from calib.core.parent import ending_with_this
 
 if TYPE_CHECKING:
     # Run elsewhere, but the results depend on it: fingerprints follow imports.
@@ -57,6 +58,7 @@ def call_worker(arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
     # The variables that steer this interpreter are not meant for that one. One thread: the sums,
     # and so the last digits, are then the same on every machine.
     environment = {k: v for k, v in os.environ.items() if not k.startswith("PYTHON")}
+    environment |= ending_with_this()
     environment |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
     with tempfile.TemporaryDirectory(prefix="calib-mrcal-") as name:
         folder = Path(name)

@@ -11,7 +11,10 @@ outlier rejection, the deformation of the board.
 
 from __future__ import annotations
 
+import ctypes
 import json
+import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -296,8 +299,21 @@ def version_of(mrcal: Any) -> str:
     return f"{told.stdout} (python3-mrcal of the system)"
 
 
+def end_with_parent() -> None:
+    """Let this process end with the one that started it: `calib.core.parent`, which is not here."""
+    parent = os.environ.pop("CALIB_PARENT", "")
+    if not parent or not sys.platform.startswith("linux"):
+        return
+    ctypes.CDLL(None).prctl(1, signal.SIGKILL)
+    try:
+        os.kill(int(parent), 0)
+    except ProcessLookupError:
+        os.kill(os.getpid(), signal.SIGKILL)
+
+
 def main(folder: Path) -> int:
     """Answer the request in `folder`; return the exit status."""
+    end_with_parent()
     try:
         import mrcal
     except Exception as error:  # a build for another numpy raises what it likes

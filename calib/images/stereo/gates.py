@@ -8,7 +8,9 @@ from calib.core.arrays import FloatArray
 from calib.core.gate import Gate
 from calib.geometry.board import Board
 from calib.images.checks import gate
-from calib.images.joint.changes import FocalChange
+from calib.images.joint.changes import FocalChange, focal_changes
+from calib.images.joint.drifts import CentreShift, PoseDrift, centre_shifts, pose_drift
+from calib.images.joint.solve import JointSolve
 from calib.images.pairs import PairStart
 from calib.images.stereo.solve import StereoSolve
 from calib.images.stereo.triangulate import Targets, midpoints
@@ -23,6 +25,9 @@ active gazing itself is good to 1 to 8 % (Xu and Wang, Table 2)."""
 FOCAL_CHANGE, FOCAL_SIGMAS = 0.001, 3.3
 """Relative change of a focal length between pictures that may be: depth inherits it. And what it
 must be of its uncertainty: 1 in 1,000 by chance, with some six looked at in a run."""
+
+STEADY_TURN_RAD = 1e-4
+"""Turn of C2 against C1 that may be: a tenth of what a row's gaze is good to."""
 
 DEPTH_STD_LIMIT = 0.02
 """Relative standard uncertainty beyond which a depth is no reference: active gazing itself is good
@@ -130,6 +135,46 @@ def _change_words(change: FocalChange) -> str:
         f"focal length of {change.camera.upper()} {100 * change.change:+.3f} % +- "
         f"{100 * change.std:.3f} % {where}"
     )
+
+
+def joint_gates(joint: JointSolve) -> tuple[Gate, ...]:
+    """Gates on lenses, crops and rig being the same in all pictures."""
+    steady = steady_gates(centre_shifts(joint), pose_drift(joint))
+    return (*lens_gates(focal_changes(joint)), *steady)
+
+
+def steady_gates(shifts: tuple[CentreShift, ...], drift: PoseDrift | None) -> tuple[Gate, ...]:
+    """Gates on crops that stay the same, and on a pose of C2 that does not drift."""
+    gates = []
+    for shift in shifts:
+        size = float(np.linalg.norm(shift.shift_px))
+        u, v = shift.shift_px
+        told = (
+            f"principal point of {shift.camera.upper()} by ({u:+.2f}, {v:+.2f}) px +- "
+            f"({shift.std_px[0]:.2f}, {shift.std_px[1]:.2f}) elsewhere in the pictures of "
+            f"{shift.kind}s, chi2 {shift.chi2:.1f} of 2 (limit {shift.limit:.3g})"
+        )
+        moved = shift.chi2 > shift.limit and size > FOCAL_CHANGE * shift.focal_px
+        remedy = (
+            "another crop (region of interest, binning, video mode) or a lens that was touched: "
+            "take all pictures in one mode"
+        )
+        gates.append(gate(f"{shift.camera}-{shift.kind}s-crop", not moved, told, remedy=remedy))
+    if drift is not None:
+        turn, shifted = (float(np.linalg.norm(v)) for v in (drift.turn_rad, drift.shift_mm))
+        moved = drift.chi2 > drift.limit and turn > STEADY_TURN_RAD
+        gates.append(
+            gate(
+                "stereo-steady",
+                not moved,
+                f"from the first pair to the last C2 turns against C1 by {1e3 * turn:.2f} mrad "
+                f"and moves by {shifted:.2f} mm, chi2 {drift.chi2:.1f} of 6 "
+                f"(limit {drift.limit:.3g})",
+                remedy="a camera or its mount creeps (C1 loose, the tripod warming up, a cable "
+                "that pulls): fasten it, wait, and take the pairs again",
+            )
+        )
+    return tuple(gates)
 
 
 def target_gates(targets: Targets) -> tuple[Gate, ...]:

@@ -18,7 +18,6 @@ from calib.geometry.board import Board, Corners
 from calib.geometry.poses import pose_matrix, pose_vector, rotation
 from calib.images.bundle import finite
 from calib.images.checks import fit_gate
-from calib.images.joint.changes import focal_changes
 from calib.images.joint.gather import Extra
 from calib.images.joint.lens import RefinedLens, refined_lenses
 from calib.images.joint.solve import JointSolve
@@ -35,7 +34,7 @@ from calib.images.stereo.backends import (
 from calib.images.stereo.gates import (
     agreement_gate,
     intrinsics_gate,
-    lens_gates,
+    joint_gates,
     pairs_gate,
     target_gates,
 )
@@ -161,7 +160,7 @@ def stereo_reference(
         gates.append(
             Gate("stereo-joint", False, f"no joint solve of lenses and pairs: {open_lens}")
         )
-    changes = () if joint is None else focal_changes(joint)
+    steady = () if joint is None else joint_gates(joint)
     others, backend_gates = _checks(record, joint, start, corners, board, rig, seed)
     used = tuple(stems[i] for i in start.pairs)
     targets = find_targets(
@@ -191,7 +190,7 @@ def stereo_reference(
         covariance=record.covariance,
         solves=(record, *others),
         targets=targets,
-        gates=(fit, *gates, *backend_gates, *lens_gates(changes)),
+        gates=(fit, *gates, *backend_gates, *steady),
         lenses=() if joint is None else refined_lenses(joint),
     )
 

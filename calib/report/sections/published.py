@@ -4,20 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.geometry.camera import intrinsic_names, intrinsic_vector
-from calib.geometry.poses import invert_pose
-from calib.images.result import ImageResult
 from calib.report.blocks import EMPTY, Cell, Paragraph, Section, number, table, words
 from calib.report.context import ReportContext
 from calib.report.numbers import estimate
 from calib.results.calibration import Calibration
+from calib.results.published import image_estimates
 
 
 def published(c: Calibration, context: ReportContext) -> Section | None:
     """Write the comparison with published values."""
     if not context.published:
         return None
-    found = _estimates(c.images)
+    found = image_estimates(c.images)
     rows = [_row(name, known, found.get(name)) for name, known in context.published.items()]
     return Section(
         "published",
@@ -37,23 +35,6 @@ def published(c: Calibration, context: ReportContext) -> Section | None:
             ),
         ),
     )
-
-
-def _estimates(images: ImageResult) -> dict[str, tuple[float, float]]:
-    """Return value and standard uncertainty by quantity."""
-    found: dict[str, tuple[float, float]] = {}
-    for camera, result in images.intrinsics.items():
-        names = intrinsic_names(result.camera)
-        values, std = intrinsic_vector(result.camera), np.sqrt(np.diag(result.covariance))
-        for name, value, u in zip(names, values, std, strict=True):
-            found[f"{camera}.{name}"] = float(value), float(u)
-    if images.stereo is not None:
-        pose, covariance = invert_pose(images.stereo.pose_12, images.stereo.covariance)
-        kinds = [f"rotation_{axis}_rad" for axis in "xyz"]
-        kinds += [f"translation_{axis}_mm" for axis in "xyz"]
-        for i, kind in enumerate(kinds):
-            found[f"c1_in_c2.{kind}"] = float(pose[i]), float(np.sqrt(covariance[i, i]))
-    return found
 
 
 def _row(

@@ -25,6 +25,7 @@ import cv2
 import emcee
 import numpy as np
 from bench_calls import KINDS, measure_run
+from bench_lenses import achieved
 from numpy.random import SeedSequence
 
 from calib.fit.chains import ENSEMBLES
@@ -207,7 +208,27 @@ def pipeline(folder: Path = PROJECT / "datasets" / "demo") -> list[Line]:
     return [*parts, *(Line(what, f"{r:.2f}", goal) for what, (r, goal) in ratios.items())]
 
 
-PARTS = {"robust": robust, "posterior": posterior, "detection": detection, "pipeline": pipeline}
+def lenses() -> list[Line]:
+    """Compare the intrinsics of one camera with its peers, by time and by error."""
+    lines = []
+    for bow_mm in (0.0, 0.3):
+        board = f"board bowed by {bow_mm:g} mm" if bow_mm else "flat board"
+        for one in achieved(bow_mm):
+            if one.error_px is None:
+                lines.append(Line(f"{board}, {one.name}", "absent", "apt install mrcal"))
+                continue
+            figure = f"{one.seconds:.2f} s, {one.error_px:.3f} px"
+            lines.append(Line(f"{board}, {one.name}: CPU, error of the lens", figure, ""))
+    return lines
+
+
+PARTS = {
+    "robust": robust,
+    "posterior": posterior,
+    "detection": detection,
+    "lenses": lenses,
+    "pipeline": pipeline,
+}
 
 
 def main(names: list[str]) -> int:

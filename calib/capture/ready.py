@@ -7,9 +7,13 @@ from pathlib import Path
 import numpy as np
 
 from calib.capture.description import Description
+from calib.capture.guidance.need import Need
+from calib.capture.intrinsics import lens_guide
+from calib.capture.writer import GrowingFolder
 from calib.core.errors import UsageError
 from calib.dataset.manifest import Manifest
 from calib.geometry.camera import Camera
+from calib.images.intrinsics.calibrate import MIN_VIEWS
 from calib.rig.check_file import check_path, read_check
 from calib.rig.devices import RigDevices
 from calib.rig.protocols import RigError
@@ -39,14 +43,18 @@ def reading_uncertainty(rig: RigDevices, rig_file: Path | None) -> float:
     return check.u_alpha2_deg
 
 
-def lens_c2(known: Description, manifest: Manifest | None) -> Camera:
+def lens_c2(known: Description, manifest: Manifest | None, folder: GrowingFolder) -> Camera:
     """Return C2's lens, from rig.toml or the dataset: without it nothing can be centred.
+
+    C2's own pictures come first, where enough of them were captured.
 
     Raises
     ------
     UsageError
         If neither has it.
     """
+    if known.board is not None and len(folder.pictures("intrinsics/c2")) >= MIN_VIEWS:
+        return lens_guide(folder, "c2", known.board, known.sizes["c2"], Need()).camera
     if "c2" in known.lenses:
         return known.lenses["c2"]
     section = None if manifest is None else manifest.camera("c2")
@@ -55,6 +63,5 @@ def lens_c2(known: Description, manifest: Manifest | None) -> Camera:
         return Camera(np.array(section.matrix), distortion, known.sizes["c2"])
     raise UsageError(
         "C2's lens is not known, so that targets cannot be centred; add matrix and distortion to "
-        "[cameras.c2] of rig.toml, from its pictures of a board (`calib calibrate` on a dataset "
-        "with [cameras.c2] images)"
+        "[cameras.c2] of rig.toml, or run `calib capture intrinsics` into this dataset first"
     )

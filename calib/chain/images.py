@@ -52,6 +52,7 @@ class ImageStages:
     sweep: Staged[SweepResult] | None
     cameras: CameraSet
     shared: Staged[Shared]
+    pairs: Mapping[str, tuple[str, str]]
 
     def failures(self) -> dict[str, str]:
         """Return why stages gave no result, by their names."""
@@ -66,6 +67,7 @@ class ImageStages:
             intrinsics={n: s.value for n, s in self.intrinsics.items() if s.failed is None},
             stereo=None if self.stereo is None else self.stereo.get(),
             sweep=None if self.sweep is None else self.sweep.get(),
+            pairs=self.pairs,
         )
 
     def measured(self) -> Measured | None:
@@ -128,6 +130,7 @@ def image_stages(dataset: Dataset, store: Store, seed: int) -> ImageStages:
         sweep=sweep,
         cameras=_camera_set(dataset, intrinsics),
         shared=shared,
+        pairs=dataset.stereo_pairs,
     )
 
 

@@ -46,6 +46,10 @@ def path(text: str) -> Path:
     """Return a path; an empty one, of an unset variable, would be the working directory."""
     if not text:
         raise argparse.ArgumentTypeError("is empty: give a name")
+    try:
+        text.encode()
+    except UnicodeEncodeError:  # results state paths, as text
+        raise argparse.ArgumentTypeError("is no name in UTF-8: rename it") from None
     return Path(text)
 
 

@@ -59,7 +59,7 @@ def _run(arguments: argparse.Namespace) -> int:
         if manifest is not None:
             refuse_other(manifest, known)
         capture = Capture(
-            gazer=make_gazer(arguments, rig, lens_c2(known, manifest)),
+            gazer=make_gazer(arguments, rig, lens_c2(known, manifest, folder)),
             hand=placing_for(rig, _tell, done=targets_before(folder)),
             folder=folder,
             known=known,

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from calib.cli.arguments import add_output, depth, positive
-from calib.cli.rig_options import add_rig, opened
+from calib.cli.rig_options import add_rig, last_check, opened
 from calib.core.errors import UsageError, harmless
 from calib.stages.output_guard import OutputKind
 
@@ -28,6 +28,8 @@ DATASET = OutputKind(
 
 KINDS = {
     "intrinsics": "each camera's own pictures of the board",
+    "stereo": "pictures of one board by both cameras",
+    "sweep": "pictures of C2 as it turns before a board at rest",
 }
 
 
@@ -81,8 +83,16 @@ def _run(arguments: argparse.Namespace) -> int:
 
 def _capture(arguments: argparse.Namespace, guided: Guided) -> dict[str, Ended]:
     from calib.capture.intrinsics import capture_intrinsics
+    from calib.capture.stereo import capture_stereo
+    from calib.capture.sweep import capture_sweep
 
     need = _need(arguments, guided)
+    if arguments.capture_command == "stereo":
+        return {"stereo": capture_stereo(guided, need)}
+    if arguments.capture_command == "sweep":
+        check = last_check(arguments.rig, guided.rig.serial)
+        settle = 0.0 if check is None else check.settle_s
+        return {"sweep": capture_sweep(guided, need, settle_s=settle)}
     roles = arguments.camera or ["c1", "c2"]
     return {role: capture_intrinsics(guided, role, need) for role in roles}
 
@@ -107,12 +117,14 @@ def _guided(arguments: argparse.Namespace, rig: RigDevices, folder: Any) -> Guid
     from calib.capture.description import describe, read_manifest, refuse_other
     from calib.capture.holding import holding_for
     from calib.capture.outline import FILE, OutlineFile
+    from calib.capture.ready import reading_uncertainty
     from calib.rig.known import known_board
 
     board = known_board(rig)
     if board is None:
         raise UsageError("rig.toml has no [board]; add the board that is held before the cameras")
-    known = describe(rig, u_alpha2_deg=0.0)
+    turns = arguments.capture_command == "sweep"
+    known = describe(rig, u_alpha2_deg=reading_uncertainty(rig, arguments.rig) if turns else 0.0)
     manifest = read_manifest(folder)
     if manifest is not None:
         refuse_other(manifest, known)

@@ -272,7 +272,7 @@ def _run_check(arguments: argparse.Namespace) -> int:
     from calib.history.output import text
     from calib.history.read_standard import read_standard
     from calib.history.standard import check_standard
-    from calib.history.standard_text import findings, page, table
+    from calib.history.standard_text import findings, notes, page, table
     from calib.instrument.calibration_file import read_calibration
     from calib.instrument.measuring import table_text
     from calib.stages.store import write_bytes
@@ -292,8 +292,8 @@ def _run_check(arguments: argparse.Namespace) -> int:
     title = f"Check standard {standard.serial}"
     dates = f"{len(checked.dates)} sessions, {checked.dates[0]} to {checked.dates[-1]}"
     sys.stdout.write(text([(f"{title}: {dates}", table(checked, accepted=accepted))]))
-    if len(checked.dates) <= accepted:
-        print(f"note: {len(checked.dates)} of {accepted} sessions at acceptance: no chart yet")
+    for note in notes(checked, accepted=accepted):
+        print(f"note: {note}")
     said = findings(checked, accepted=accepted)
     for finding in said:
         print(f"ALARM: {finding}")

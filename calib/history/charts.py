@@ -21,7 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import chdtrc
 
-from calib.core.arrays import FloatArray
+from calib.core.arrays import BoolArray, FloatArray
 
 SHEWHART_LIMIT = 3.0
 """In units of the standard uncertainty: in-control average run length 370.4."""
@@ -33,6 +33,9 @@ EWMA_LIMIT = 2.86
 CUSUM_ALLOWANCE = 0.5
 CUSUM_LIMIT = 4.77
 """Two-sided, in units of the standard uncertainty: in-control average run length about 370."""
+
+RUN_LENGTH = 370.0
+"""Of each chart, in the mean, until it is outside by chance."""
 
 UNCERTAINTY_RISK = 0.01
 """Chance that sound uncertainties are called too small by `scatter_test`."""
@@ -58,9 +61,15 @@ class Chart:
     limit: float
 
     @property
+    def outside(self) -> BoolArray:
+        """Where the statistic is outside the limits, shape (n,)."""
+        found: BoolArray = np.abs(self.statistic) > self.limit
+        return found
+
+    @property
     def first_alarm(self) -> int | None:
         """Index of the first calibration outside the limits."""
-        outside = np.flatnonzero(np.abs(self.statistic) > self.limit)
+        outside = np.flatnonzero(self.outside)
         return int(outside[0]) if len(outside) else None
 
 

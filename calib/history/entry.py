@@ -27,7 +27,7 @@ from calib.core.limited import read_limited
 from calib.core.seal import is_edited
 from calib.geometry.parameters import INDEX
 from calib.instrument.calibration_file import FILE_LIMIT_BYTES
-from calib.stages.manifest import MANIFEST, is_run, refuse_broken
+from calib.stages.manifest import AGAIN, MANIFEST, is_run, refuse_broken
 
 RESULT, CERTIFICATE, RUN = "calibration.json", "certificate.xml", "run.toml"
 
@@ -190,7 +190,10 @@ def _whole(folder: Path, name: str) -> bytes:
         content = read_limited(path, FILE_LIMIT_BYTES, regular=True)
         refuse_broken(path, content)
     except InputError as error:
-        raise ValueError(str(error)) from error
+        # No option takes it: an index is of what runs wrote.
+        fault = error.problems[0]
+        named = "" if fault.where == str(folder) else f"{Path(fault.where).name} "
+        raise ValueError(f"{named}{fault.what}; {AGAIN}") from error
     except OSError as error:
         raise ValueError(f"{name}: {error.strerror or error}") from error
     return content

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.core.arrays import FloatArray
+from calib.core.arrays import BoolArray, FloatArray
 from calib.history.certified import Depth, Length, Standard
 from calib.history.charts import Chart, charts, reference
 from calib.history.quantities import Series
@@ -118,12 +118,22 @@ def check_standard(measuring: Measuring, standard: Standard, text: str, *, name:
     )
 
 
-def first_alarm(one: Series, accepted: int) -> tuple[int | None, tuple[Chart, ...]]:
-    """Return the first session outside the limits of any chart, and the charts."""
-    at = reference(one.values[:accepted], one.std[:accepted])
-    found = charts(one.values[accepted:], one.std[accepted:], at)
-    alarms = [accepted + chart.first_alarm for chart in found if chart.first_alarm is not None]
-    return (min(alarms) if alarms else None), found
+def chart_all(checked: Checked, *, accepted: int) -> tuple[tuple[Chart, ...], ...]:
+    """Return the charts of each quantity, of the sessions after acceptance, if there are any."""
+    if len(checked.dates) <= accepted:
+        return ((),) * len(checked.names)
+    found = []
+    for one in checked.series():
+        at = reference(one.values[:accepted], one.std[:accepted])
+        found.append(charts(one.values[accepted:], one.std[accepted:], at))
+    return tuple(found)
+
+
+def lasting(outside: BoolArray) -> int | None:
+    """Return since when a chart is outside without a break up to the last value; None if not."""
+    inside = np.flatnonzero(~outside)
+    since = int(inside[-1]) + 1 if len(inside) else 0
+    return since if since < len(outside) else None
 
 
 def degrees_of_freedom(checked: Checked) -> int:

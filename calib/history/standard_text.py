@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from scipy.special import chdtrc
+import numpy as np
+from scipy.special import chdtrc, ndtri
 
+from calib.core.arrays import BoolArray
 from calib.history.causes import likely_causes
+from calib.history.charts import RUN_LENGTH, Chart
 from calib.history.drawing import chart_rows
-from calib.history.standard import Checked, degrees_of_freedom, first_alarm
+from calib.history.standard import Checked, chart_all, degrees_of_freedom, lasting
 from calib.report.plain_page import Block, Cell, Drawing, Paragraph, PlainTable, State, plain_page
 
 GENERATOR = "calib history check"
@@ -20,31 +23,65 @@ HEAD = ["quantity", "certified", "last", "u", "deviation / U", "Shewhart", "EWMA
 
 
 def table(checked: Checked, *, accepted: int) -> list[list[str]]:
-    """Return a line a quantity, the head first."""
+    """Return a line a quantity, the head first; of each chart how it is at the last session."""
     rows = [HEAD]
     last = checked.normalised[-1]
-    for k, one in enumerate(checked.series()):
-        _, found = first_alarm(one, accepted) if len(one.values) > accepted else (None, ())
-        states = [
-            f"{chart.statistic[-1]:+.1f}"
-            if chart.first_alarm is None
-            else f"ALARM {one.dates[accepted + chart.first_alarm]}"
-            for chart in found
-        ] or ["-"] * 3
+    drawn = chart_all(checked, accepted=accepted)
+    for k, (name, found) in enumerate(zip(checked.names, drawn, strict=True)):
+        states = [_state(chart, checked.dates[accepted:]) for chart in found] or ["-"] * 3
         agrees = f"{last[k]:+.2f}" + (" OUTSIDE" if abs(last[k]) > 1 else "")
         rows.append([
-            f"{one.name}, mm", f"{checked.certified[k]:.6g}", f"{one.values[-1]:.6g}",
+            f"{name}, mm", f"{checked.certified[k]:.6g}", f"{checked.values[-1, k]:.6g}",
             f"{checked.std[-1, k]:.2g}", agrees, *states,
         ])  # fmt: skip
     return rows
 
 
+def _state(chart: Chart, dates: Sequence[str]) -> str:
+    since = lasting(chart.outside)
+    return f"{chart.statistic[-1]:+.1f}" if since is None else f"ALARM {dates[since]}"
+
+
+def _outside(checked: Checked, accepted: int) -> BoolArray:
+    """Return the sessions at which any chart is outside its limits, shape (n,)."""
+    found = np.zeros(len(checked.dates), dtype=np.bool_)
+    for drawn in chart_all(checked, accepted=accepted):
+        for chart in drawn:
+            found[accepted:] |= chart.outside
+    return found
+
+
 def alarm(checked: Checked, *, accepted: int) -> int | None:
-    """Return the first session at which any chart is outside its limits."""
-    if len(checked.dates) <= accepted:
-        return None
-    found = [first_alarm(one, accepted)[0] for one in checked.series()]
-    return min((at for at in found if at is not None), default=None)
+    """Return since which session some chart is outside its limits up to the last; None if none is.
+
+    Of a daily record each chart is outside about once a year by chance, and comes back: that is
+    told by `earlier`, and the rig is not called changed for it for ever.
+    """
+    return lasting(_outside(checked, accepted))
+
+
+CHANCE = 0.01
+"""A single deviation that came back is none of chance if of sound records so few have one."""
+
+
+def earlier(checked: Checked, *, accepted: int) -> tuple[str, bool]:
+    """Return what charts showed that are inside again, empty if nothing, and if it is an alarm."""
+    since = alarm(checked, accepted=accepted)
+    outside = _outside(checked, accepted)[:since]
+    if not outside.any():
+        return "", False
+    number = len(checked.dates) - accepted
+    drawn = chart_all(checked, accepted=accepted)
+    limit = float(-ndtri(CHANCE / 2 / (number * len(drawn))))
+    far = [np.abs(found[0].statistic[: len(outside) - accepted]) for found in drawn]
+    worst = int(np.argmax(np.max(far, axis=0)))
+    if np.max(far) > limit:
+        day = checked.dates[accepted + worst]
+        return (f"on {day} a deviation was larger than chance makes any of this record", True)
+    expected = number * sum(map(len, drawn)) / RUN_LENGTH
+    times = int(np.count_nonzero(np.diff(outside.astype(int), prepend=0) == 1))
+    words = f"charts were outside their limits {times} times before and came back; "
+    return words + f"with this many charts and sessions chance gives up to {expected:.0f}", False
 
 
 def findings(checked: Checked, *, accepted: int) -> list[str]:
@@ -57,6 +94,9 @@ def findings(checked: Checked, *, accepted: int) -> list[str]:
             "calibrate it again"
         )
         said += _causes(checked, accepted, at)
+    words, is_alarm = earlier(checked, accepted=accepted)
+    if is_alarm:
+        said.append(words)
     outside = [
         name
         for name, ratio in zip(checked.names, checked.normalised[-1], strict=True)
@@ -68,6 +108,14 @@ def findings(checked: Checked, *, accepted: int) -> list[str]:
             "uncertainties together"
         )
     return said
+
+
+def notes(checked: Checked, *, accepted: int) -> list[str]:
+    """Return what is to be known of the record beside its findings."""
+    if len(checked.dates) <= accepted:
+        return [f"{len(checked.dates)} of {accepted} sessions at acceptance: no chart yet"]
+    words, is_alarm = earlier(checked, accepted=accepted)
+    return [words] if words and not is_alarm else []
 
 
 def _causes(checked: Checked, accepted: int, since: int) -> list[str]:
@@ -96,6 +144,9 @@ def page(title: str, checked: Checked, *, accepted: int) -> str:
     blocks: list[Block] = [Paragraph(f"{text[:1].upper()}{text[1:]}.") for text in said]
     if not said:
         blocks.append(Paragraph("All charts are in control, and the last session agrees."))
+    blocks += [
+        Paragraph(f"{text[:1].upper()}{text[1:]}.") for text in notes(checked, accepted=accepted)
+    ]
     blocks.append(PlainTable("", head, [_states(row) for row in rows]))
     if len(checked.dates) > accepted:
         blocks.append(Drawing("Charts", chart_rows(checked.series(), accepted=accepted)))

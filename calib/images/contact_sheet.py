@@ -1,4 +1,4 @@
-"""Stage: small pictures of a camera with the corners that were found."""
+"""Stage: small copies of a camera's pictures, for the report."""
 
 from __future__ import annotations
 
@@ -11,10 +11,12 @@ from numpy.typing import NDArray
 from calib.geometry.board import Corners
 from calib.images.detection.picture import read_grey, thumbnail
 
-CONTACT_COUNT = 24
-"""Pictures on a contact sheet; a board not found always gets its place."""
+WIDTHS_PX = ((24, 640), (100, 400), (500, 200))
+"""Up to so many pictures of a camera, each is so wide: sharp where they are few, and a report that
+still opens where they are many."""
 
-CONTACT_WIDTH_PX = 200
+LEAST_WIDTH_PX = 120
+"""Width where they are more."""
 
 
 @dataclass(frozen=True)
@@ -41,42 +43,35 @@ class Pictures:
 
 @dataclass(frozen=True)
 class ContactSheet:
-    """Small pictures with their corners drawn.
+    """Small copies of all pictures of a camera.
 
     Parameters
     ----------
     camera
         "c1" or "c2".
     names, detectors
-        Of the pictures shown.
+        Of the pictures: boards not found first.
     pictures
-        Blue, green, red, shape (n, height, width, 3).
-    left_out
-        Number of pictures not shown.
+        Grey values, shape (n, height, width).
     """
 
     camera: str
     names: tuple[str, ...]
     detectors: tuple[str, ...]
     pictures: NDArray[np.uint8]
-    left_out: int
 
 
 def contact_sheet(folder: Path, pictures: Pictures, corners: Corners) -> ContactSheet:
-    """Return a contact sheet: boards not found first, the rest evenly over the pictures."""
-    here = np.flatnonzero([bool(sha) for sha in pictures.sha256])
-    missed = [i for i in here if corners.detector[i] == "none"][:CONTACT_COUNT]
-    others = np.array([i for i in here if corners.detector[i] != "none"], dtype=int)
-    room = min(CONTACT_COUNT - len(missed), len(others))
-    spread = others[np.linspace(0, len(others) - 1, room).round().astype(int)] if room else []
-    shown = [*missed, *spread]
+    """Return small copies of all pictures that exist: boards not found first, then as they come."""
+    here = [i for i, sha in enumerate(pictures.sha256) if sha]
+    shown = sorted(here, key=lambda i: corners.detector[i] != "none")
+    width = min(contact_width(len(shown)), corners.image_size[0])
     small = [
         thumbnail(
             read_grey(
                 folder / pictures.names[i], name=pictures.names[i], sha256=pictures.sha256[i]
             ),
-            corners.pixels[i],
-            width=CONTACT_WIDTH_PX,
+            width=width,
         )
         for i in shown
     ]
@@ -84,6 +79,10 @@ def contact_sheet(folder: Path, pictures: Pictures, corners: Corners) -> Contact
         camera=pictures.camera,
         names=tuple(pictures.names[i] for i in shown),
         detectors=tuple(corners.detector[i] for i in shown),
-        pictures=np.stack(small) if small else np.zeros((0, 1, 1, 3), np.uint8),
-        left_out=len(here) - len(shown),
+        pictures=np.stack(small) if small else np.zeros((0, 1, 1), np.uint8),
     )
+
+
+def contact_width(count: int) -> int:
+    """Return the width, px, of small copies of so many pictures."""
+    return next((width for most, width in WIDTHS_PX if count <= most), LEAST_WIDTH_PX)

@@ -33,6 +33,13 @@ class Capture(_Command):
     target: Name = "board"
 
 
+class Pictures(_Command):
+    """Take pictures of the board, guided, until enough is known."""
+
+    do: Literal["pictures"]
+    kind: Literal["intrinsics", "stereo", "sweep"] = "intrinsics"
+
+
 class Calibrate(_Command):
     """Run the chain on the dataset."""
 
@@ -88,14 +95,14 @@ class Picture(_Command):
     camera: Literal["c1", "c2"]
 
 
-Job: TypeAlias = Check | Capture | Calibrate | Gaze | Length
+Job: TypeAlias = Check | Capture | Pictures | Calibrate | Gaze | Length
 """What the worker does, one after the other."""
 
 Command: TypeAlias = Job | Answer | Mark | Stop | Take | Picture
 
 _ADAPTER: TypeAdapter[Command] = TypeAdapter(Annotated[Command, Field(discriminator="do")])
 
-DRIVING: Final = (Check, Capture, Gaze, Length)
+DRIVING: Final = (Check, Capture, Pictures, Gaze, Length)
 """Jobs that turn C2."""
 
 

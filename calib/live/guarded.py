@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable
 from typing import Final, Literal
 
+from calib.core.errors import CalibError
 from calib.rig.protocols import Interrupted, Standstill, YawAxis
 
 AGAIN_S: Final = 0.01
@@ -16,6 +17,12 @@ forgotten the first time."""
 
 Turned = Callable[[float | None], None]
 """Told of a new reading, rad; None while C2 turns."""
+
+
+class Stopped(CalibError):  # noqa: N818 - what happened, as users read it
+    """Stop was pressed. No `RigError`, which a capture takes for a fault of one target."""
+
+    exit_status = 3
 
 
 class GuardedAxis:

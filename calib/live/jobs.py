@@ -16,7 +16,7 @@ from calib.capture.ready import lens_c2, reading_uncertainty
 from calib.capture.rows import Capture as CaptureSettings
 from calib.capture.rows import capture_rows
 from calib.capture.writer import GrowingFolder, growing
-from calib.core.errors import CalibError, UsageError
+from calib.core.errors import UsageError
 from calib.core.parent import ending_with_this
 from calib.gaze import length as lengths
 from calib.gaze.length import gaze_length
@@ -27,7 +27,9 @@ from calib.gaze.table import line, refused
 from calib.instrument.measured_text import EXTRAPOLATED, GATE_FAILED, OK
 from calib.instrument.measuring import Positions
 from calib.live.bench import Bench, Calibrated
-from calib.live.commands import Calibrate, Capture, Check, Gaze, Job, Length
+from calib.live.commands import Calibrate, Capture, Check, Gaze, Job, Length, Pictures
+from calib.live.guarded import Stopped
+from calib.live.guided import count_pictures, take_pictures
 from calib.live.scene import ellipse95
 from calib.rig.check import check_rig
 from calib.rig.check_file import check_path, check_text, read_check
@@ -54,12 +56,6 @@ RUN_FILES: Final = {
 """Files of a run that a page may have, with their titles."""
 
 DONE, GATE_FAILED_STATUS = 0, 3
-
-
-class Stopped(CalibError):  # noqa: N818 - what happened, as users read it
-    """Stop was pressed. No `RigError`, which a capture takes for a fault of one target."""
-
-    exit_status = 3
 
 
 class _StoppableHand:
@@ -91,6 +87,7 @@ def run(bench: Bench, job: Job) -> None:
     doing: dict[type, Callable[[Bench, Any], None]] = {
         Check: _check,
         Capture: _capture,
+        Pictures: take_pictures,
         Calibrate: _calibrate,
         Gaze: _gaze,
         Length: _length,
@@ -109,6 +106,7 @@ def look_around(bench: Bench) -> None:
     if found is not None:
         bench.record.put(check=found.model_dump(mode="json"))
     _count_rows(bench)
+    count_pictures(bench)
     _list_run(bench)
 
 
@@ -139,7 +137,7 @@ def _capture(bench: Bench, job: Capture) -> None:
         if manifest is not None:
             refuse_other(manifest, known)
         capture = CaptureSettings(
-            gazer=bench.gazer(at, lens_c2(known, manifest)),
+            gazer=bench.gazer(at, lens_c2(known, manifest, folder)),
             hand=_StoppableHand(bench, bench.hand(job.target)),
             folder=folder,
             known=known,

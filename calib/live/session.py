@@ -18,7 +18,7 @@ from calib.gaze.target import Target
 from calib.live import jobs
 from calib.live.bench import Bench, Places, with_axis
 from calib.live.commands import DRIVING, Answer, Capture, Gaze, Job, Length, Mark
-from calib.live.guarded import GuardedAxis
+from calib.live.guarded import GuardedAxis, Stopped
 from calib.live.record import Record
 from calib.live.scene import heading
 from calib.live.streams import Stream
@@ -242,7 +242,7 @@ class Session:
             assert bench is not None  # noqa: S101 - set before the first job
             try:
                 jobs.run(bench, job)
-            except (Interrupted, jobs.Stopped) as error:
+            except (Interrupted, Stopped) as error:
                 self.record.tell(f"{jobs.title(job)}: {error}", bad=not bench.axis.is_stopped)
             except (CalibError, OSError) as error:
                 self.record.tell(f"{jobs.title(job)}: {error}", bad=True)

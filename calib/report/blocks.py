@@ -145,12 +145,16 @@ class Scene:
 
 @dataclass(frozen=True)
 class Thumbnail:
-    """A small picture: data URI, name, what found its board; `fault`, if any, frames it."""
+    """A small picture: data URI, name, what found its board; `fault`, if any, frames it.
+
+    `remark` are its residuals in figures.
+    """
 
     image: str
     name: str
     detector: str
     fault: str = ""
+    remark: str = ""
 
 
 @dataclass(frozen=True)

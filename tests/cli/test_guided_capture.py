@@ -70,3 +70,23 @@ def test_a_lens_from_elsewhere_is_not_captured_over(lab, call):
     done = call("capture", "intrinsics", "mine", "--rig", "rig.toml")
     assert done.status == 2
     assert "[cameras.c1] has the lens of c1 already" in done.err
+
+
+def test_pairs_and_sweep_follow_the_lenses_and_move_the_axis(lab, call):
+    done = call("capture", "stereo", "mine", "--rig", "rig.toml", "--count", 1)
+    assert done.status == 3, done.err
+    done = call("capture", "sweep", "mine", "--rig", "rig.toml", "--count", 1)
+    assert done.status == 3, done.err
+    assert "mine: sweep: 1 pictures" in done.out
+    said = call("check", "mine").out
+    assert "1 stereo pairs" in said
+    table = (lab / "mine" / "sweep.csv").read_text().splitlines()
+    assert table[0] == "id,placement,image_c2,alpha2_deg"
+    turns = [float(line.split(",")[-1]) for line in table[1:]]
+    assert len(turns) >= 8
+    assert turns == sorted(turns)
+    assert turns[-1] - turns[0] > 12
+    (lab / "rig-check.json").unlink()
+    done = call("capture", "sweep", "mine", "--rig", "rig.toml")
+    assert done.status == 2
+    assert "run `calib rig check rig.toml` first" in done.err

@@ -68,6 +68,8 @@ USAGE = {
     "study for ever": ["study", "--out", "OUT", "--rigs", "1000000000000"],
     "study on a crowd": ["study", "--out", "OUT", "--rigs", "1", "--jobs", "100000000"],
     "rigs in powers of ten": ["study", "--out", "OUT", "--rigs", "1e12"],
+    "dataset of no text": ["calibrate", "a\udcff", "--out", "OUT"],
+    "out of no text": ["calibrate", "DATA", "--out", "OUT\udcfe"],
     "no such dataset": ["calibrate", "MISSING", "--out", "OUT"],
     "dataset is a file": ["check", "DATA/gaze.csv"],
     "out is a file": ["calibrate", "DATA", "--out", "DATA/gaze.csv"],

@@ -4,9 +4,11 @@ repetition; negative controls on corner noise alone.
 
 from __future__ import annotations
 
+import board_scenes
 import lens_scenes as scenes
 import numpy as np
 import pytest
+import test_joint_lenses as scene_of_pairs
 
 from calib.core.arrays import FloatArray
 from calib.geometry.board import Corners
@@ -14,6 +16,7 @@ from calib.geometry.camera import intrinsic_vector, project
 from calib.images.intrinsics.by_opencv import fit_opencv
 from calib.images.intrinsics.covariance import view_scores
 from calib.images.intrinsics.remarks import board_warning
+from calib.images.joint.solve import solve_joint
 
 POINTS = scenes.BOARD.object_points()
 PRINT_MM, SIGMA_PX = 0.1, 0.02
@@ -78,3 +81,32 @@ def test_a_print_that_is_not_true_is_told_with_its_size() -> None:
     assert words[0] == ()
     said = float(words[1][0].split("corners lie ")[1].split(" mm")[0])
     assert said == pytest.approx(PRINT_MM, rel=0.2)
+
+
+@pytest.mark.slow
+def test_a_joint_solve_counts_the_print_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Lenses and pose of C2, 10 boards: by the views alone 82 % would be inside."""
+    inside, alone = [], []
+    drawn = scene_of_pairs.deformed
+    for seed in range(10):
+        rng = np.random.default_rng(200 + seed)
+        off = np.pad(rng.normal(0, PRINT_MM, (54, 2)), ((0, 0), (0, 1)))
+
+        def printed(
+            points: FloatArray, bow: tuple[float, float] | None, off: FloatArray = off
+        ) -> FloatArray:
+            return drawn(points, bow) + off
+
+        with monkeypatch.context() as patch:
+            for module in (scene_of_pairs, board_scenes):
+                patch.setattr(module, "deformed", printed)
+            scene = scene_of_pairs.Scene(6, pairs=8, lens=8, rows=0)
+        joint = solve_joint(*scene_of_pairs.posed(scene, rng))
+        error = (joint.reduced.at.shared - scene_of_pairs.truth())[:24]
+        std = np.sqrt(np.diag(joint.covariance))[:24]
+        factors = np.repeat(joint.factors, [9, 9, 6])
+        by_views = np.sqrt(factors * np.diag(joint.reduced.spread())[:24])
+        inside.append(np.mean(np.abs(error) < 1.96 * std))
+        alone.append(np.mean(np.abs(error) < 1.96 * by_views))
+    assert np.mean(inside) > 0.92
+    assert np.mean(alone) < 0.9

@@ -247,12 +247,11 @@ def images() -> ImageResult:
     """Return all that images can give."""
     rng = np.random.default_rng(5)
     corners = {name: _corners(rng) for name in ("c1", "c2")}
-    pictures = rng.integers(0, 255, (VIEWS, 48, 64, 3)).astype(np.uint8)
+    pictures = rng.integers(0, 255, (VIEWS, 48, 64)).astype(np.uint8)
     return ImageResult(
         corners=corners,
         sheets={
-            name: ContactSheet(name, NAMES, corners[name].detector, pictures, left_out=3)
-            for name in corners
+            name: ContactSheet(name, NAMES, corners[name].detector, pictures) for name in corners
         },
         intrinsics={name: intrinsics(name, corners[name], rng) for name in corners},
         stereo=stereo(rng),

@@ -12,6 +12,7 @@ import hashlib
 import io
 import re
 from dataclasses import replace
+from urllib.parse import unquote
 
 import numpy as np
 import pytest
@@ -55,6 +56,8 @@ def keys(rows: list[list[html.HtmlElement]], column: int) -> list[float]:
 
 
 def decoded(uri: str) -> bytes:
+    if uri.startswith("data:image/svg+xml,"):
+        return unquote(uri.partition(",")[2]).encode()
     return base64.b64decode(uri.partition(";base64,")[2], validate=True)
 
 
@@ -136,7 +139,7 @@ def test_nothing_leads_out_of_the_file(full: str, page: html.HtmlElement) -> Non
     for picture in page.xpath("//img[starts-with(@src, 'data:image/svg')]"):
         drawn = decoded(picture.get("src"))
         for address in addresses(etree.fromstring(drawn)):
-            assert address.startswith(("#", "data:image/png")), address[:80]
+            assert address.startswith(("#", "data:image/png", "data:image/jpeg")), address[:80]
         assert b"@import" not in drawn
         assert b"<script" not in drawn
 
@@ -406,3 +409,49 @@ def test_every_picture_is_listed_by_name_and_those_left_out_are_framed() -> None
     framed = page.xpath("//figure[@id='figure-pictures-c1']//li[@class='bad']/bdi/text()")
     sheet = calibration.images.sheets["c1"]
     assert (found.images[0] in framed) == (found.images[0] in sheet.names)
+
+
+def test_pictures_show_corners_and_residuals_where_they_are() -> None:
+    calibration, context = everything()
+    found = calibration.images.intrinsics["c1"]
+    residuals = found.selected.residuals.copy()
+    residuals[0, 2] = np.nan
+    spoilt = replace(found, selected=replace(found.selected, residuals=residuals))
+    images = replace(calibration.images, intrinsics={**calibration.images.intrinsics, "c1": spoilt})
+    page = html.fromstring(render_report(replace(calibration, images=images), context))
+    items = page.xpath("//figure[@id='figure-pictures-c1']//li")
+    assert len(items) == len(calibration.images.corners["c1"].images)
+    caption = page.xpath("string(//figure[@id='figure-pictures-c1']/figcaption)")
+    times = float(re.search(r"Arrows are residuals, (\S+) times", caption)[1])
+    (item,) = [li for li in items if li.findtext("bdi") == found.images[0]]
+    drawn = etree.fromstring(decoded(item.find("img").get("src")))
+    paths: dict[str, list[str]] = {}
+    for path in drawn.iter("{*}path"):
+        paths.setdefault(path.get("stroke"), []).append(path.get("d"))
+    corners = calibration.images.corners["c1"].select(found.images[:1]).pixels[0]
+    arrows = re.findall(r"M([-\d.]+) ([-\d.]+)l([-\d.]+) ([-\d.]+)l", paths[plotting.ORANGE][0])
+    kept = np.isfinite(residuals[0]).all(axis=-1)
+    expected = np.hstack([corners, times * residuals[0]])[kept]
+    np.testing.assert_allclose(np.array(arrows, float), expected, atol=0.051)
+    assert "rms " in item.text_content()
+    rejected = paths[plotting.VERMILLION][0]
+    width = calibration.images.corners["c1"].image_size[0]
+    at = corners[2] - width / 160
+    assert rejected.startswith(f"M{at[0]:.1f} {at[1]:.1f}l")
+
+
+def test_pairs_and_sweep_are_listed_by_the_names_of_their_pictures() -> None:
+    calibration, context = everything()
+    stereo = calibration.images.stereo
+    pairs = {stem: (f"s/c1/{stem}.png", f"s/c2/{stem}.png") for stem in (*stereo.stems, "alone")}
+    images = replace(calibration.images, pairs=pairs)
+    page = html.fromstring(render_report(replace(calibration, images=images), context))
+    rows = table(page, "Pairs")
+    assert [row[0].text_content().strip() for row in rows] == [p[0] for p in pairs.values()]
+    assert "not used" in rows[-1][-1].text_content()
+    first = stereo.solves[0].residuals[1, 0]
+    assert float(rows[0][6].get("data-key")) == pytest.approx(np.sqrt(np.nanmean(first**2)))
+    sweep = calibration.images.sweep
+    rows = table(page, "Pictures of the sweep")
+    assert [row[0].text_content().strip() for row in rows] == list(sweep.images)
+    assert keys(rows, 3) == pytest.approx(np.sqrt(np.nanmean(sweep.residuals**2, axis=(1, 2))))

@@ -47,6 +47,11 @@ class Need:
         """Standard uncertainty that depth may have by one part, in parts of it."""
         return float(self.tolerance / RATIO / PARTS**0.5)
 
+    @property
+    def pairs_share(self) -> float:
+        """The same by pairs, which hold both lenses and the pose of C2: three of the parts."""
+        return float(self.tolerance / RATIO * (3 / PARTS) ** 0.5)
+
     def lens_px(self, focal_px: float) -> float:
         """Return how well a lens is to project, px."""
         return self.depth_share * focal_px * self.baseline_mm / self.depths_mm[1]

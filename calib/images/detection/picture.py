@@ -20,8 +20,6 @@ TAIL_SHARE = 0.001
 """Share of darkest and of brightest pixels that deep images may clip: hot pixels, not the board."""
 
 _READ = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
-_MARK_COLOURS = ((40, 120, 255), (255, 160, 0))
-"""Red-orange for the corner the count starts from, blue for the others (BGR)."""
 
 
 def read_grey(path: Path, *, name: str, sha256: str = "") -> Grey:
@@ -110,24 +108,8 @@ def _to_8_bit(image: FloatArray) -> Grey:
     return grey
 
 
-def thumbnail(image: Grey, corners: FloatArray, *, width: int) -> NDArray[np.uint8]:
-    """Return a small colour copy of an image with its corners drawn, BGR, `width` px wide.
-
-    Parameters
-    ----------
-    corners
-        Pixels in board order, shape (corners, 2), NaN where missing; the first is marked larger.
-    """
-    scale = width / image.shape[1]
-    size = (width, max(1, round(image.shape[0] * scale)))
-    small = cv2.cvtColor(cv2.resize(image, size, interpolation=cv2.INTER_AREA), cv2.COLOR_GRAY2BGR)
-    # Pixel centres are at whole numbers, before and after.
-    at = (corners + 0.5) * scale - 0.5
-    fraction = 4
-    for i in np.flatnonzero(np.isfinite(at).all(axis=-1))[::-1]:
-        centre = tuple(int(v) for v in np.round(at[i] * 2**fraction))
-        radius = 4 if i == 0 else 2
-        colour = _MARK_COLOURS[0 if i == 0 else 1]
-        cv2.circle(small, centre, radius << fraction, colour, 1, cv2.LINE_AA, fraction)
-    marked: NDArray[np.uint8] = small
-    return marked
+def thumbnail(image: Grey, *, width: int) -> Grey:
+    """Return a small copy of an image, `width` px wide."""
+    size = (width, max(1, round(image.shape[0] * width / image.shape[1])))
+    small: Grey = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+    return small

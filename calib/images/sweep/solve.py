@@ -145,7 +145,7 @@ def solve_sweep(
         readings_rad=alpha2,
         placement=placement,
         camera=camera,
-        intrinsics_root=_root(covariance),
+        intrinsics_root=root_of(covariance),
         turn_std_rad=readings.std_rad,
         sigma_px=START_SIGMA_PX,
         foot_std_mm=FOOT_STD_MM,
@@ -184,7 +184,7 @@ def _same_end(pixels: FloatArray, placement: IntArray) -> FloatArray:
     return pixels
 
 
-def _root(covariance: FloatArray) -> FloatArray:
+def root_of(covariance: FloatArray) -> FloatArray:
     """Return A, shape (p, r), with A A' the covariance; r is its rank."""
     scale = np.sqrt(np.diag(covariance))
     scale = np.where(scale > 0, scale, 1.0)

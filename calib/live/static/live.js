@@ -1,5 +1,5 @@
 // The page: one connection, the state that comes over it, and what the buttons ask for.
-import { draw } from "./pictures.js";
+import { ask, draw } from "./pictures.js";
 import { drawScene } from "./scene.js";
 import { fillLengths, fillPositions } from "./tables.js";
 
@@ -49,6 +49,7 @@ function heard(message) {
   showRole(page);
   showJob(state);
   showSteps(state);
+  showAsked(state.asked || null);
   showQuestion(state.question, page);
   showLog(state.log);
   fillPositions($("positions"), state.measurements || []);
@@ -86,7 +87,7 @@ function showJob(state) {
 }
 
 function showSteps(state) {
-  const { check, rows, calibration, rig } = state;
+  const { check, rows, calibration, pictures, rig } = state;
   const text = (id, words, bad) => {
     $(id).textContent = words;
     $(id).classList.toggle("bad", Boolean(bad));
@@ -95,6 +96,10 @@ function showSteps(state) {
     const failed = check.checks.filter((one) => !one.passed);
     if (failed.length) text("check-text", `not fit: ${failed.map((one) => one.name).join(", ")}`, true);
     else text("check-text", `fit, u of a reading ${check.u_alpha2_deg.toFixed(4)}°`);
+  }
+  if (pictures) {
+    const { c1, c2, pairs, sweep } = pictures;
+    text("pictures-text", c1 + c2 + pairs + sweep ? `C1 ${c1}, C2 ${c2}, pairs ${pairs}, sweep ${sweep}` : "none yet");
   }
   if (rows && rig) {
     const validation = rows.validation ? ` and ${rows.validation} for validation` : "";
@@ -106,6 +111,13 @@ function showSteps(state) {
     text("calibrate-text",
       `${calibration.path}, ${near.toFixed(0)} to ${far.toFixed(0)} mm${failed ? ", a gate failed" : ""}`, failed);
   } else text("calibrate-text", "no calibration yet");
+}
+
+// What the board is to do: the outline goes into the pictures, the words below the job.
+function showAsked(asked) {
+  ask(asked);
+  $("asked").hidden = !asked;
+  if (asked) $("asked").textContent = `Fill the outline in ${asked.camera.toUpperCase()}: ${asked.why}${asked.fault ? ` · ${asked.fault}` : ""}`;
 }
 
 function showQuestion(question, page) {
@@ -184,6 +196,7 @@ function enable(state, page) {
   $("stop").disabled = !page.may_command;
   $("check").disabled = !(ready && state.rig && state.rig.board);
   $("capture").disabled = !(ready && (state.check || state.rig.u_alpha2_deg !== null));
+  $("pictures").disabled = !(ready && state.rig && state.rig.board);
   $("calibrate").disabled = !(ready && state.rows && state.rows.gaze > 0);
   $("gaze").disabled = !(owner && state.calibration);
   $("length").disabled = !(owner && state.calibration);
@@ -197,6 +210,7 @@ const whole = (id) => Math.round(Number($(id).value)) || 1;
 asked("stop", () => ({ do: "stop" }));
 asked("take", () => ({ do: "take" }));
 asked("check", () => ({ do: "check" }));
+asked("pictures", () => ({ do: "pictures", kind: $("pictures-kind").value }));
 asked("capture", () => ({ do: "capture", kind: $("kind").value, count: whole("rows"), target: $("target").value }));
 asked("calibrate", () => ({ do: "calibrate" }));
 asked("gaze", () => ({ do: "gaze", count: whole("count"), target: $("target").value }));

@@ -1,5 +1,8 @@
 // A picture with its marks: centre column, target.
 const frames = { c1: 0, c2: 0 };
+let outline = null; // what a guide asks for, drawn until it asks for something else
+
+export function ask(asked) { outline = asked; }
 
 export async function draw(data, $) {
   const view = new DataView(data);
@@ -15,7 +18,10 @@ export async function draw(data, $) {
   bitmap.close();
   const unit = width / 640;
   if (head.centre !== null) column(pen, head.centre, height, unit);
-  if (head.target) mark(pen, head.target, unit);
+  const wanted = outline && outline.camera === head.camera ? outline : null;
+  if (wanted) fillIn(pen, wanted, unit);
+  else if (head.target) mark(pen, head.target, unit);
+  canvas.dataset.outline = wanted ? "yes" : "";
   frames[head.camera] += 1;
   canvas.dataset.frames = frames[head.camera];
   const age = head.age_ms + performance.now() - came;
@@ -36,6 +42,22 @@ function column(pen, u, height, unit) {
   pen.lineTo(u, height);
   pen.stroke();
   pen.setLineDash([]);
+}
+
+function fillIn(pen, { outline: points, first }, unit) {
+  const way = new Path2D();
+  points.forEach(([u, v], i) => (i ? way.lineTo(u, v) : way.moveTo(u, v)));
+  way.closePath();
+  const start = new Path2D();
+  start.arc(first[0], first[1], 7 * unit, 0, 2 * Math.PI);
+  pen.fillStyle = "rgba(224,0,127,.14)";
+  pen.fill(way);
+  for (const [width, colour] of [[6, "rgba(255,255,255,.85)"], [3, "#e0007f"]]) {
+    pen.lineWidth = width * unit;
+    pen.strokeStyle = colour;
+    pen.stroke(way);
+    pen.stroke(start);
+  }
 }
 
 function mark(pen, [u, v], unit) {

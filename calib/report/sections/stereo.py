@@ -9,12 +9,14 @@ from markupsafe import Markup
 
 from calib.core.arrays import FloatArray
 from calib.geometry.poses import invert_pose
+from calib.images.result import ImageResult
 from calib.images.stereo.reference import StereoReference
 from calib.report.blocks import (
     EMPTY,
     Block,
     Cell,
     DefinitionList,
+    Fold,
     Paragraph,
     Section,
     Table,
@@ -27,6 +29,7 @@ from calib.report.context import ReportContext
 from calib.report.figures.stereo import draw_pairs, draw_targets
 from calib.report.numbers import decimals, digits, estimate, plus_minus
 from calib.report.plotting import picture
+from calib.report.sections.board_pictures import pair_faults, residual_cells
 from calib.report.sections.pick import shown_rows
 from calib.results.calibration import Calibration
 
@@ -54,6 +57,10 @@ def stereo(c: Calibration, _: ReportContext) -> Section | None:
                 draw_pairs(reference),
                 "Residuals of each pair. One pair far above the others was taken in motion, or is "
                 "no pair; all high in one camera, its intrinsics are not those of these pictures.",
+            ),
+            Fold(
+                f"All {len(c.images.pairs or reference.stems)} pairs by their pictures",
+                (_pairs(reference, c.images),),
             ),
         ]
     if reference.targets.stems:
@@ -129,6 +136,36 @@ def _solves(s: StereoReference) -> Table:
         "lenses as their own pictures gave them; held, OpenCV: as used, the board flat. The factor "
         "is how far the pairs disagree with each other, over what the noise of their corners "
         "explains.",
+    )
+
+
+def _pairs(s: StereoReference, images: ImageResult) -> Table:
+    """Return each pair by its pictures with its residuals by the solve of record."""
+    place = {stem: i for i, stem in enumerate(s.stems)}
+    residuals, faults, rows = s.solves[0].residuals, pair_faults(images), []
+    for stem, names in (images.pairs or {stem: (stem, stem) for stem in s.stems}).items():
+        i = place.get(stem)
+        both = [None if i is None else residuals[which, i] for which in (0, 1)]
+        rows.append(
+            (
+                *map(words, names),
+                *(cell for one in both for cell in residual_cells(one)),
+                words("yes") if i is not None else words(faults[stem], mark="bad"),
+            )
+        )
+    heads: tuple[str, ...] = ("Picture of C1", "Picture of C2")
+    heads += tuple(
+        f"{camera}: {what}"
+        for camera in ("C1", "C2")
+        for what in ("corners kept", "rms / px", "largest / px")
+    )
+    return table(
+        "Pairs",
+        (*heads, "Used"),
+        rows,
+        note='A pair is left out by exclude = ["..."] in [stereo], by the name of either picture.',
+        sortable=True,
+        dense=True,
     )
 
 

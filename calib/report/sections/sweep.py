@@ -9,6 +9,7 @@ from calib.images.sweep.yaw_axis import SweepResult
 from calib.report.blocks import (
     Block,
     DefinitionList,
+    Fold,
     Paragraph,
     Section,
     Table,
@@ -29,6 +30,7 @@ from calib.report.numbers import (
     unit,
 )
 from calib.report.plotting import picture
+from calib.report.sections.board_pictures import residual_cells
 from calib.results.calibration import Calibration
 from calib.uncertainty.format import fixed
 
@@ -62,6 +64,7 @@ def sweep(c: Calibration, _: ReportContext) -> Section | None:
             "The yaw axis from above, in C2's frame. A region much longer than the distance itself "
             "means that the sweep was too narrow, or the board too far, to tell where the axis is.",
         ),
+        Fold(f"All {len(found.images)} pictures of the sweep by name", (_pictures(found),)),
     ]
     return Section("sweep", "Yaw sweep", tuple(blocks))
 
@@ -78,6 +81,36 @@ def _measured(s: SweepResult) -> Table:
         for name, value, u in zip(s.names, s.mean, std, strict=True)
     ]
     return table("What the sweep measures", ("Symbol", "Meaning", "Estimate ± u", "Unit"), rows)
+
+
+def _pictures(s: SweepResult) -> Table:
+    """Return each picture by name with its residuals and the error of its reading."""
+    rows = [
+        (
+            words(name),
+            decimals(float(np.rad2deg(reading)), 3),
+            *residual_cells(residuals),
+            decimals(float(np.rad2deg(error)), 4),
+        )
+        for name, reading, residuals, error in zip(
+            s.images, s.readings_rad, s.residuals, s.reading_errors_rad, strict=True
+        )
+    ]
+    heads = (
+        "Picture",
+        Markup("<i>α</i><sub>2</sub> / °"),
+        "corners kept",
+        "rms / px",
+        "largest residual / px",
+        "error of the reading / °",
+    )
+    return table(
+        "Pictures of the sweep",
+        heads,
+        rows,
+        note='A picture is left out by exclude = ["..."] in [sweep], by the name given here.',
+        sortable=True,
+    )
 
 
 def _facts(s: SweepResult) -> DefinitionList:

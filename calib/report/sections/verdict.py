@@ -177,7 +177,7 @@ def _depth_tiles(gaze: GazeResult) -> list[tuple[Text, Text, Text]]:
     tiles: list[tuple[Text, Text, Text]] = []
     for i in dict.fromkeys((int(inside[0]), int(inside[-1]))):
         z, u = float(gaze.depths.depth_mm[i]), float(gaze.depths.prediction.u_mm[i])
-        share = f"{significant(100 * u / z, digits=2)} % of depth"
+        share = f"{significant(100 * u / z, digits=2)} % of depth, on C1's optical axis"
         tiles.append(
             (
                 Markup("<i>u</i>(<i>z</i>) at {} mm").format(f"{z:.0f}"),

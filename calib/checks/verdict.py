@@ -20,6 +20,7 @@ from calib.fit.priors import NOISE_SCALE
 from calib.fit.robust import RobustFit
 from calib.geometry.parameters import INDEX, PARAMETERS
 from calib.images.result import ImageResult
+from calib.instrument.adjusted import ROWS
 from calib.instrument.averaging import doubt_of
 from calib.instrument.calibrated import CalibratedInstrument, DepthTable, normalised_error
 from calib.results.calibration import GazeResult
@@ -258,7 +259,8 @@ def gaze_warnings(gaze: GazeResult) -> tuple[str, ...]:
                 "parallel to Z of C1)"
             )
         found += _named_outliers(gaze, model)
-        found += _left_to_priors(gaze.identifiability[model])
+        if gaze.choice is None or gaze.choice.method == ROWS:
+            found += _left_to_priors(gaze.identifiability[model])
         found += [
             f"model {score.model}: left-out density of row {', '.join(score.unreliable)} is "
             "unreliable, its importance weights have a heavy tail"
@@ -268,7 +270,7 @@ def gaze_warnings(gaze: GazeResult) -> tuple[str, ...]:
     if gaze.groups is not None and gaze.groups.together:
         found.append(_together(gaze.groups))
     found += diagnosis_warnings(gaze.diagnosis, gaze.correction)
-    if gaze.average is not None and gaze.depths is not None:
+    if gaze.average is not None and gaze.depths is not None and gaze.by_rows is not gaze.beside:
         told = doubt_of(gaze.average, gaze.depths)
         found += [] if told is None else [told]
     if gaze.calibrated is not None and gaze.calibrated.measures_residual:

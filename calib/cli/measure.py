@@ -46,7 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     instead.add_argument("--sources", action="store_true", help="what u(z) of each is made of")
     parser.add_argument(
         "--model", default="selected", metavar="NAME",
-        help="selected (default), a fitted model, or average over all of them",
+        help="selected (default), rows, adjustment, a fitted model, or average over all of them",
     )  # fmt: skip
     parser.add_argument(
         "--strict", action="store_true", help="stop at the first row that cannot be measured"

@@ -9,6 +9,7 @@ from markupsafe import Markup
 
 from calib.core.gate import Gate
 from calib.images.result import ImageResult
+from calib.instrument.adjusted import ADJUSTMENT, ROWS
 from calib.instrument.calibrated import CalibratedInstrument
 from calib.report.blocks import (
     Block,
@@ -110,12 +111,22 @@ def _gaze(gaze: GazeResult, context: ReportContext) -> list[Block]:
     tiles = [*_parameter_tiles(gaze), *_depth_tiles(gaze), *_validation_tiles(gaze, context)]
     return [
         KeyFigures(tuple(tiles)),
+        *_instrument(gaze),
         Paragraph(
             Markup("Selected model: <strong>{}</strong>. {}.").format(
                 gaze.comparison.selected, _capital(gaze.comparison.reason)
             )
         ),
     ]
+
+
+def _instrument(gaze: GazeResult) -> list[Block]:
+    """Say from what the instrument is taken, where there is a choice."""
+    if gaze.choice is None:
+        return []
+    by = {ROWS: "the gaze rows", ADJUSTMENT: "the adjustment of all pictures"}[gaze.choice.method]
+    words = Markup("Depths are measured by <strong>{}</strong>: {}.")
+    return [Paragraph(words.format(by, gaze.choice.reason))]
 
 
 def _capital(text: str) -> str:

@@ -170,6 +170,7 @@ class LensGuide:
         return asked_for(
             self.role, self.camera, self.board, poses[best],
             u=(self.u, float(np.sqrt(variance[best]))), needed=self.needed, unit=self.unit,
+            taken=self._pixels,
         )  # fmt: skip
 
     def refuse(self) -> None:

@@ -170,6 +170,7 @@ class PairGuide:
             "c1", self._camera(0), self.board, poses[best],
             u=(self.u, float(np.sqrt(variance[best]))), needed=self.needed,
             unit=f"% of depth, {_distance(poses[best], self.board):.0f} mm away",
+            taken=self._pixels[:, 0],
         )  # fmt: skip
 
     def refuse(self) -> None:

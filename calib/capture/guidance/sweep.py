@@ -128,6 +128,7 @@ class SweepGuide:
         return asked_for(
             "c2", self.camera, self.board, self._poses[best], u=(self.u, float(value[best])),
             needed=self.needed, unit="% of depth by the axis",
+            taken=self._shown,
         )  # fmt: skip
 
     def refuse(self) -> None:

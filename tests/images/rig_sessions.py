@@ -29,7 +29,7 @@ class Layout:
     """What a session has."""
 
     rows: int = 8
-    lens: int = 10
+    lens: int = 6
     placements: int = 2
     swept: int = 8
     pairs: bool = True

@@ -250,7 +250,7 @@ RIGS = 25
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "layout",
-    [Layout(), Layout(rows=14, placements=0, pairs=False)],
+    [Layout(lens=10), Layout(rows=14, lens=10, placements=0, pairs=False)],
     ids=["everything", "no pairs, no sweep"],
 )
 def test_uncertainties_hold_over_many_rigs(layout: Layout) -> None:

@@ -28,6 +28,10 @@ from bench_calls import KINDS, measure_run
 from bench_lenses import achieved
 from numpy.random import SeedSequence
 
+from calib.capture.guidance.lens import LensGuide
+from calib.capture.guidance.need import Need
+from calib.capture.guidance.pairs import LensSays, PairGuide, by_tape, holding_reading
+from calib.capture.guidance.sweep import SweepGuide
 from calib.fit.chains import ENSEMBLES
 from calib.fit.density import LogPosterior
 from calib.fit.importance import sample_importance
@@ -35,10 +39,13 @@ from calib.fit.posterior import laplace, posterior_of, sample_posterior
 from calib.fit.priors import Priors
 from calib.fit.robust import fit_model
 from calib.geometry.board import Board
+from calib.geometry.camera import project
 from calib.geometry.parameters import vector
 from calib.geometry.plane import OBSERVABLE, gaze_at
 from calib.images.detection.board import find_chessboard
 from calib.rows.observations import Observations
+from calib.simulate.rig import draw_rig
+from calib.simulate.scene import IntrinsicViews, draw_intrinsic_views, fitting_board
 
 PROJECT = Path(__file__).resolve().parents[1]
 REPEATS, RUNS = 5, 3
@@ -222,10 +229,40 @@ def lenses() -> list[Line]:
     return lines
 
 
+def guidance() -> list[Line]:
+    """Time the answer of a guide: the picture taken is solved, the next pose chosen."""
+    rng = np.random.default_rng(1)
+    rig = draw_rig(rng, model="base", image_size=(1280, 960))
+    board = fitting_board(rig, near_mm=1000.0)
+    need = Need()
+    guide = LensGuide("c1", board, rig.c1.image_size, needed_rad=need.lens_px(1.0))
+    poses = draw_intrinsic_views(rig.c1, board, rng, IntrinsicViews(count=12))
+    points = board.object_points()
+    for pose in poses:
+        corners = project(rig.c1, points @ pose[:3, :3].T + pose[:3, 3])
+        guide.add(corners + rng.normal(0, 0.1, corners.shape))
+    lens = 1e3 * cpu(lambda: (guide.solve_again(), guide.ask()))
+    lenses = LensSays(rig.c1, None), LensSays(rig.c2, None)
+    reading = holding_reading(need, need.baseline_mm)
+    pairs = PairGuide(board, lenses, by_tape(need.baseline_mm, reading), need)
+    pair = 1e3 * cpu(pairs.ask)
+    sweep = SweepGuide(
+        board, rig.c2, np.zeros((9, 9)), range_rad=rig.yaw_range_rad,
+        resolution_rad=1.6e-4, u_alpha2_rad=0.0, need=need,
+    )  # fmt: skip
+    axis = 1e3 * cpu(sweep.ask)
+    return [
+        Line("guide of a lens, 12 pictures: solved, next pose", f"{lens:.0f} ms", "150 ms"),
+        Line("guide of pairs: next pose", f"{pair:.0f} ms", "150 ms"),
+        Line("guide of the sweep: next pose", f"{axis:.0f} ms", "150 ms"),
+    ]
+
+
 PARTS = {
     "robust": robust,
     "posterior": posterior,
     "detection": detection,
+    "guidance": guidance,
     "lenses": lenses,
     "pipeline": pipeline,
 }

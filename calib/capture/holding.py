@@ -12,8 +12,9 @@ from calib.rig.protocols import Refused
 from calib.rig.virtual.hand import Hand
 from calib.rig.virtual.world import World
 
-PATIENCE_S: Final = 1.5
-"""The virtual hand tries anew where the shutter is not released by then."""
+PATIENCE_S, PATIENCE_PICTURES = 1.5, 5
+"""The virtual hand tries anew where the shutter is not released by then, nor by so many pictures: a
+slow computer looks seldom, and the board must be still between two looks."""
 
 TRIES_MAX: Final = 5
 
@@ -53,16 +54,19 @@ class VirtualHolding:
         self._asked: Asked | None = None
         self._tries = 0
         self._until_s = PATIENCE_S
+        self._looks = 0
 
     def hold(self, asked: Asked) -> None:
         """Begin to hold the board as asked."""
-        self._asked, self._tries, self._until_s = asked, 0, PATIENCE_S
+        self._asked, self._tries, self._until_s, self._looks = asked, 0, PATIENCE_S, 0
         self._hand.hold(asked.role, asked.corners_px)
 
     def wait(self, fault: str, waited_s: float) -> None:
         """Try again, with more care, after some time."""
-        if waited_s < self._until_s or self._asked is None:
+        self._looks += 1
+        if waited_s < self._until_s or self._looks < PATIENCE_PICTURES or self._asked is None:
             return
+        self._looks = 0
         self._tries += 1
         if self._tries == TRIES_MAX:
             raise Refused(f"the outline cannot be filled: {fault}")

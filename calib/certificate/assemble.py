@@ -11,7 +11,7 @@ from calib.certificate.inputs import (
     Provenance,
 )
 from calib.dataset.manifest import Certificate, Manifest, Rig
-from calib.instrument.calibrated import CalibratedInstrument
+from calib.instrument.calibrated import EVALUATION, CalibratedInstrument
 from calib.results.calibration import Calibration, GazeResult
 from calib.results.fits_document import effective_baseline, effective_interval
 from calib.stages.provenance import Provenance as RunProvenance
@@ -75,10 +75,16 @@ def _administration(stated: Certificate, rig: Rig, gaze: GazeResult) -> Administ
     return Administration(**values)
 
 
+POSTERIOR = "posterior sampled by emcee"
+ADJUSTMENT = "least-squares adjustment of all pictures of the board"
+
+_IDENTIFIED = {kind: name for name, kind in EVALUATION.items()}
+
+
 def _summary(
     gaze: GazeResult, calibrated: CalibratedInstrument, manifest: Manifest
 ) -> CalibrationSummary:
-    fit = gaze.robust[calibrated.model]
+    by_rows = gaze.robust.get(calibrated.model)
     p = calibrated.instrument.parameters
     derived = effective_baseline(p.names, p.values, p.covariance)
     interval = None
@@ -88,10 +94,10 @@ def _summary(
     return CalibrationSummary(
         model=calibrated.model,
         instrument=calibrated.instrument,
-        identified_by=fit.identified_by,
-        estimator="posterior sampled by emcee",
+        identified_by=tuple(_IDENTIFIED[kind] for kind in p.evaluation),
+        estimator=POSTERIOR if by_rows is not None else ADJUSTMENT,
         rows=len(gaze.rows),
-        outliers=fit.outliers,
+        outliers=() if by_rows is None else by_rows.outliers,
         reference=_reference(manifest),
         calibrated_mm=(float(low), float(high)),
         noise_factor=calibrated.noise_factor,

@@ -141,7 +141,10 @@ def _together(b: Budget) -> str:
 
 def _freedom(b: Budget) -> str:
     if b.coverage_factor is None or b.degrees_of_freedom is None:
-        return f"Effective degrees of freedom {b.freedom_note}; no coverage factor is given."
+        return (
+            f"Effective degrees of freedom {b.freedom_note}: they give no coverage factor; that of "
+            "the results is from the Monte Carlo distribution."
+        )
     return (
         f"Effective degrees of freedom {count(b.degrees_of_freedom)} ({b.freedom_note}); "
         f"k = {fixed(b.coverage_factor, 2)} for 95 %."

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from calib.chain.adjusted import certified, with_adjustment
 from calib.chain.adjustment import adjustment_stage
 from calib.chain.images import ImageStages, image_observations, image_stages
 from calib.chain.outputs import write_outputs
@@ -18,6 +18,7 @@ from calib.checks.prior_conflict import prior_warnings
 from calib.checks.stereo_pose import pose_warnings
 from calib.checks.verdict import all_gates, all_warnings, disagreements
 from calib.core.errors import InputError
+from calib.core.gate import Gate
 from calib.dataset.contents import Dataset
 from calib.dataset.given_lens import given_lens_covariance
 from calib.dataset.tables import LengthTable
@@ -35,9 +36,10 @@ from calib.fit.priors import Priors
 from calib.fit.robust import RobustFit, fit_model
 from calib.fit.scale import scaled_defaults
 from calib.geometry.parameters import MODELS
+from calib.images.adjustment.result import Adjustment
+from calib.instrument.adjusted import AS_ASKED, BY_RULE, ROWS, Choice, choose
 from calib.instrument.averaging import build_average
 from calib.instrument.calibrated import build_instrument, measure_validation, tabulate_depths
-from calib.instrument.evidence import gather_evidence
 from calib.mirror.gaze import mirror_gaze
 from calib.mirror.problem import Mirror, mirror_priors
 from calib.results.calibration import Calibration, GazeResult
@@ -61,10 +63,14 @@ class Options:
         Of all random numbers.
     depths_mm
         Least and greatest depth of the uncertainty table; None for those of the rows.
+    method
+        From what the instrument is taken; by default from the adjustment of all pictures where
+        there is one that may be used.
     """
 
     seed: int = 0
     depths_mm: tuple[float, float] | None = None
+    method: str = BY_RULE
 
 
 @dataclass(frozen=True)
@@ -100,20 +106,36 @@ def calibrate(
         images = image_stages(dataset, store, options.seed)
         adjustment = adjustment_stage(dataset, store, images)
         failures = images.failures()
-        gaze = None
+        gaze, choice = None, None
         if dataset.gaze is not None:
             rows = gaze_rows(dataset, dataset.gaze, store, images)
             if rows.failed is not None:
                 failures["gaze rows"] = rows.failed
+            else:
+                choice = choose(
+                    options.method,
+                    None if adjustment is None else adjustment.get(),
+                    rows.value,
+                    corrected=dataset.manifest.corrections is not None,
+                )
+            certify = choice is None or choice.method == ROWS
+            if rows.failed is not None:
+                pass
             elif dataset.manifest.rig.is_left:
                 mirror = Mirror.of(images.shared.value)
                 mirrored = given("mirrored rows", mirror.rows(rows.value))
                 setup = gaze_setup(dataset, images)
-                gaze = _gaze_chain(dataset, options, store, images, mirrored, mirror)
+                gaze = _gaze_chain(
+                    dataset, options, store, images, mirrored, mirror, certify=certify
+                )
                 own = rows.value if gaze.correction is None else mirror.rows(gaze.rows)
                 gaze = mirror_gaze(gaze, mirror, rows=own, setup=setup)
             else:
-                gaze = _gaze_chain(dataset, options, store, images, rows)
+                gaze = _gaze_chain(dataset, options, store, images, rows, certify=certify)
+        if gaze is not None and choice is not None and adjustment is not None:
+            gaze = with_adjustment(
+                dataset, store, images, gaze, adjustment, choice, seed=options.seed
+            )
         result = images.result()
         calibration = Calibration(
             name=dataset.manifest.name,
@@ -127,12 +149,13 @@ def calibrate(
             gaze=gaze,
             adjustment=None if adjustment is None else adjustment.get(),
             not_adjusted=None if adjustment is None else adjustment.failed,
-            gates=all_gates(result, gaze, failures),
+            gates=(*all_gates(result, gaze, failures), *_adjustment_gates(adjustment, choice)),
             warnings=(
                 *dataset.warnings,
                 *_combined(dataset, gaze),
                 *all_warnings(result, gaze),
                 *(() if gaze is None else prior_warnings(gaze, row_priors(dataset))),
+                *_not_used(choice),
                 *pose_warnings(dataset, result.stereo, gaze),
                 *contradictions(
                     result, {n: (p.mean, p.std) for n, p in dataset.manifest.published.items()}
@@ -155,6 +178,22 @@ def _combined(dataset: Dataset, gaze: GazeResult | None) -> tuple[str, ...]:
     return () if told is None else (told,)
 
 
+def _adjustment_gates(
+    adjustment: Staged[Adjustment] | None, choice: Choice | None
+) -> tuple[Gate, ...]:
+    """Return the gates of the adjustment where the instrument is taken from it."""
+    if adjustment is None or choice is None or choice.method == ROWS:
+        return ()
+    return adjustment.value.gates
+
+
+def _not_used(choice: Choice | None) -> tuple[str, ...]:
+    """Return a warning where there is an adjustment that the rule has not taken."""
+    if choice is None or choice.method != ROWS or choice.reason == AS_ASKED:
+        return ()
+    return (f"the adjustment of all pictures is not used: {choice.reason}",)
+
+
 def _gaze_chain(
     dataset: Dataset,
     options: Options,
@@ -162,6 +201,8 @@ def _gaze_chain(
     images: ImageStages,
     rows: Staged[Observations],
     mirror: Mirror | None = None,
+    *,
+    certify: bool,
 ) -> GazeResult:
     """From gaze rows to the calibrated instrument and what it measures.
 
@@ -213,7 +254,7 @@ def _gaze_chain(
     result = replace(result, identifiability={name: s.value for name, s in identified.items()})
     chains = {name: posterior[name] for name in result.posterior}
     fitted = _Fitted(rows, priors, fits, chains)
-    return _measure(dataset, options, store, images, fitted, result, mirror)
+    return _measure(dataset, options, store, images, fitted, result, mirror, certify=certify)
 
 
 @dataclass(frozen=True)
@@ -234,6 +275,8 @@ def _measure(
     fitted: _Fitted,
     result: GazeResult,
     mirror: Mirror | None,
+    *,
+    certify: bool,
 ) -> GazeResult:
     """Select a model and find what the instrument then measures."""
     run, seed, rows, priors = store.run, options.seed, fitted.rows, fitted.priors
@@ -271,10 +314,14 @@ def _measure(
     diagnosis = run(stage("independent references", diagnose_references,
                           diagnosis, calibrated, fitted.robust[selected], rows,
                           optional(validation), optional(_lengths(dataset)), depths))
-    evidence = run(stage("certified depths", gather_evidence,
-                         calibrated, rows, optional(validation), optional(measured),
-                         optional(_lengths(dataset)), seed=seed, **_certified(dataset)))
     # fmt: on
+    evidence = None
+    if certify:
+        evidence = run(
+            certified(
+                "", dataset, calibrated, rows, optional(validation), optional(measured), seed=seed
+            )
+        ).get()
     return replace(
         result,
         comparison=comparison.value,
@@ -284,7 +331,7 @@ def _measure(
         validation=None if measured is None else measured.value,
         groups=groups.value,
         diagnosis=diagnosis.value,
-        evidence=evidence.get(),
+        evidence=evidence,
     )
 
 
@@ -324,16 +371,6 @@ def _corrected(
 
 def _lengths(dataset: Dataset) -> Staged[LengthTable] | None:
     return None if dataset.lengths is None else given("lengths", dataset.lengths)
-
-
-def _certified(dataset: Dataset) -> dict[str, Any]:
-    """Return what the manifest says of the certificate's depths."""
-    stated, validation = dataset.manifest.certificate, dataset.manifest.validation
-    return {
-        "check_reference": None if validation is None else validation.reference,
-        "depth_rel": None if stated.tolerance is None else stated.tolerance.depth_rel,
-        "rule": stated.decision_rule,
-    }
 
 
 def _validation(

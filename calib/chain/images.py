@@ -135,9 +135,15 @@ def image_stages(dataset: Dataset, store: Store, seed: int) -> ImageStages:
 
 
 def image_observations(
-    dataset: Dataset, table: GazeTable, store: Store, images: ImageStages
+    dataset: Dataset, table: GazeTable, store: Store, images: ImageStages, *, by: str = ""
 ) -> Staged[ImageObservations] | None:
-    """Return what the images say of a table's rows; None if it names none."""
+    """Return what the images say of a table's rows; None if it names none.
+
+    Parameters
+    ----------
+    by
+        Whose cameras and shared errors `images` has, where they are not the image stages' own.
+    """
     named = [n for n in (*table.image_c1, *table.image_c2, *table.stereo) if n is not None]
     if not named or dataset.board is None:
         return None
@@ -147,7 +153,7 @@ def image_observations(
     warps = [fit.board_warp_mm for fit in fits.values() if fit.board_warp_mm is not None]
     known = CornerNoise(**rms, warp_mm=warps[0] if warps else None)
     return store.run(stage(
-        f"image observations {table.file}", observe_images,
+        f"{by}image observations {table.file}", observe_images,
         given("table", table), given("board", dataset.board),
         optional(images.corners.get("c1")), optional(images.corners.get("c2")),
         optional(images.stereo), images.shared, given("corner noise", known),

@@ -20,6 +20,7 @@ from calib.fit.priors import NOISE_SCALE
 from calib.fit.robust import RobustFit
 from calib.geometry.parameters import INDEX, PARAMETERS
 from calib.images.result import ImageResult
+from calib.instrument.adjusted import ROWS
 from calib.instrument.averaging import doubt_of
 from calib.instrument.calibrated import CalibratedInstrument, DepthTable, normalised_error
 from calib.results.calibration import GazeResult
@@ -258,7 +259,8 @@ def gaze_warnings(gaze: GazeResult) -> tuple[str, ...]:
                 "parallel to Z of C1)"
             )
         found += _named_outliers(gaze, model)
-        found += _left_to_priors(gaze.identifiability[model])
+        if gaze.choice is None or gaze.choice.method == ROWS:
+            found += _left_to_priors(gaze.identifiability[model])
         found += [
             f"model {score.model}: left-out density of row {', '.join(score.unreliable)} is "
             "unreliable, its importance weights have a heavy tail"
@@ -268,7 +270,7 @@ def gaze_warnings(gaze: GazeResult) -> tuple[str, ...]:
     if gaze.groups is not None and gaze.groups.together:
         found.append(_together(gaze.groups))
     found += diagnosis_warnings(gaze.diagnosis, gaze.correction)
-    if gaze.average is not None and gaze.depths is not None:
+    if gaze.average is not None and gaze.depths is not None and gaze.by_rows is not gaze.beside:
         told = doubt_of(gaze.average, gaze.depths)
         found += [] if told is None else [told]
     if gaze.calibrated is not None and gaze.calibrated.measures_residual:
@@ -346,26 +348,28 @@ def _left_to_priors(found: Identifiability) -> list[str]:
 def disagreements(gaze: GazeResult) -> tuple[str, ...]:
     """Return a warning for each reference that the measured depths contradict.
 
-    Rows that borrow their depth from one row are one measurement.
+    Rows that borrow their depth from one row are one measurement; that row stands for it, or the
+    first that has a value of the reference.
     """
     validation = gaze.validation
     if validation is None:
         return ()
     p, found = validation.prediction, []
-    first = np.unique(validation.depth_of, return_index=True)[1]
     for error in validation.errors:
         score = normalised_error(p, error)
-        known = np.isfinite(score[first])
-        bad = first[known][score[first][known] > 1]
-        if len(bad) > MISSED_SHARE * known.sum():
+        known = np.flatnonzero(np.isfinite(score))
+        known = known[np.argsort(known != validation.depth_of[known], kind="stable")]
+        first = known[np.unique(validation.depth_of[known], return_index=True)[1]]
+        bad = first[score[first] > 1]
+        if len(bad) > MISSED_SHARE * len(first):
             worst = bad[np.argsort(-score[bad], kind="stable")][:NAMED]
             named = ", ".join(validation.ids[i] for i in worst)
             found.append(
-                f"{len(bad)} of {int(known.sum())} validation depths differ from {error.name} by "
+                f"{len(bad)} of {len(first)} validation depths differ from {error.name} by "
                 "more than their 95 % uncertainties together (E_n > 1; the worst first: "
                 f"{named}): calibration reference and validation reference contradict each other, "
                 "or a row is mistaken. The uncertainties stated are against "
-                f"the reference used to calibrate{_common_scale(error.error_rel[first][known])}"
+                f"the reference used to calibrate{_common_scale(error.error_rel[first])}"
             )
     return tuple(found)
 

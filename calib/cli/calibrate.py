@@ -31,6 +31,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--depths", type=depth, nargs=2, metavar=("LOW", "HIGH"),
         help="range of the depth uncertainty table, mm; default: that of the rows",
     )  # fmt: skip
+    parser.add_argument(
+        "--method", choices=("rows", "adjustment"), default="rule",
+        help="take the instrument from the gaze rows or from the adjustment of all pictures; "
+        "default: the adjustment where its gates pass and the rows agree",
+    )  # fmt: skip
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -45,7 +50,7 @@ def run(arguments: argparse.Namespace) -> int:
     interrupt_on(signal.SIGINT, signal.SIGTERM)
     dataset = load_dataset(arguments.dataset)
     out = run_folder(arguments.out, dataset.root, force=arguments.force)
-    settings = {"seed": arguments.seed, "depths_mm": depths}
+    settings = {"seed": arguments.seed, "depths_mm": depths, "method": arguments.method}
     if finished_before(out, run_fingerprint(dataset.sha256, settings)):
         if not (arguments.quiet or arguments.json):
             print(f"{harmless(str(out))}: up to date, nothing has changed")

@@ -124,6 +124,7 @@ def summary_json(out: Path) -> tuple[dict[str, Any], bool]:
         "out": str(out),
         "dataset": result["dataset"],
         "selected": selected,
+        "method": result.get("method", "rows" if selected is not None else None),
         "parameters": parameters,
         "passed": not failed,
         "failed_gates": failed,
@@ -170,9 +171,25 @@ def summary(out: Path) -> tuple[str, bool]:
                 )
                 figures += f" (95 %: {low} to {high})"
             lines.append(f"  {name:24s} {figures}{decided}")
+    lines += _instrument(result)
     lines += _faults(result)
     lines.append(f"results in {harmless(str(out))}")
     return "\n".join(lines), all(gate["passed"] for gate in result["gates"])
+
+
+def _instrument(result: dict[str, Any]) -> list[str]:
+    """Return from what the instrument is taken, where there is a choice."""
+    if "method" not in result:
+        return []
+    by = {"rows": "the gaze rows", "adjustment": "the adjustment of all pictures"}
+    lines = [f"depths are measured by {by[result['method']]}: {result['method_rule']}"]
+    if result["method"] == "adjustment":
+        fit = result["fits"][f"{result['adjustment']['model']}/adjustment"]
+        lines += [
+            f"  {name:24s} {estimate['value']:12.5g} +- {estimate['std']:.2g}"
+            for name, estimate in fit["parameters"].items()
+        ]
+    return lines
 
 
 def _cause(cause: dict[str, Any]) -> str:

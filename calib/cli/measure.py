@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import os
 import sys
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -45,7 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     instead.add_argument("--sources", action="store_true", help="what u(z) of each is made of")
     parser.add_argument(
         "--model", default="selected", metavar="NAME",
-        help="selected (default), a fitted model, or average over all of them",
+        help="selected (default), rows, adjustment, a fitted model, or average over all of them",
     )  # fmt: skip
     parser.add_argument(
         "--strict", action="store_true", help="stop at the first row that cannot be measured"
@@ -128,7 +129,9 @@ def _lengths(
     measured = measure_by(measuring, block.table, model=arguments.model)
     tally.add(block, measured.faults)
     failed = bool(measuring.failed_gates) and not arguments.accept_failed
-    rows, none = out.length_rows(measured, read_pairs(arguments.lengths), gate_failed=failed)
+    repeated = {name for name, count in Counter(block.ids).items() if count > 1}
+    pairs = read_pairs(arguments.lengths)
+    rows, none = out.length_rows(measured, pairs, gate_failed=failed, repeated=repeated)
     write(out.csv_text([out.LENGTH_COLUMNS]) + rows)
     tally.failed = max(tally.failed, none)
     if arguments.model == SELECTED and (note := doubt(measuring, measured, block.table)):

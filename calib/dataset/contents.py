@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from calib.core.arrays import FloatArray
+from calib.core.owner import Owner
 from calib.dataset.manifest import Manifest
 from calib.dataset.messages import row_place
 from calib.dataset.tables import GazeTable, LengthTable, SweepTable
 from calib.geometry.board import Board
 from calib.geometry.camera import Camera
-from calib.stages.owner import Owner
 
 
 @dataclass(frozen=True)

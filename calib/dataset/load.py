@@ -120,7 +120,7 @@ class _Loading:
         self.problems += parsed.problems
         tables = parsed.tables
         scan_rows = partial(scan_gaze, is_left=parsed.is_left, step_deg=parsed.step_deg)
-        gaze = self._table(tables, "gaze", scan_rows)
+        gaze = self._table(tables, "gaze", partial(scan_rows, by_board=True))
         validation = self._table(tables, "validation", scan_rows)
         sweep = self._table(tables, "sweep", scan_sweep)
         lengths = self._table(tables, "lengths", scan_lengths)

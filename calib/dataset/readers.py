@@ -124,6 +124,7 @@ def scan_gaze(
     *,
     name: str,
     reference: bool = True,
+    by_board: bool = False,
     is_left: bool = False,
     step_deg: float | None = None,
 ) -> Scanned[GazeTable]:
@@ -137,6 +138,8 @@ def scan_gaze(
         Of its file, for messages.
     reference
         Whether each row needs a reference depth.
+    by_board
+        Whether pictures of the board by both cameras do instead: its squares give the scale.
     is_left
         Whether C2 stands at -X of C1.
     step_deg
@@ -148,7 +151,7 @@ def scan_gaze(
         If the text is no table at all.
     """
     cells = read_cells(text, file=name, known=GAZE_COLUMNS, pattern=REFERENCE_COLUMN)
-    _check_sources(cells, reference=reference)
+    _check_sources(cells, reference=reference, by_board=by_board)
     ids = _ids(cells)
     x1c, y1c = _pair(cells, "x1c", "y1c", alone=reference)
     u1_px, v1_px = _pair(cells, "u1_px", "v1_px", alone=False)
@@ -183,16 +186,20 @@ def scan_gaze(
     return _scanned(cells, table)
 
 
-def _check_sources(cells: Cells, *, reference: bool) -> None:
+def _check_sources(cells: Cells, *, reference: bool, by_board: bool) -> None:
     """Report rows without exactly one source of the coordinate, the reading and the reference."""
+    pictured = np.zeros(len(cells.lines), dtype=np.bool_)
+    if by_board and "image_c1" in cells and "image_c2" in cells:
+        pictured = cells.present("image_c1", "image_c2")
     coordinate = ("x1c", "u1_px", "image_c1")
     reading = ("alpha2_deg", "ctan_alpha2")
     depth = ("z_mm", "stereo")
-    require_columns(cells, (("id",), coordinate, reading, *([depth] if reference else [])))
+    needed = [depth] if reference and not pictured.all() else []
+    require_columns(cells, (("id",), coordinate, reading, *needed))
     _one_of(cells, [("x1c", "y1c"), ("u1_px", "v1_px"), ("image_c1",)], needed=True)
     _one_of(cells, [("alpha2_deg",), ("ctan_alpha2",)], needed=True)
     _one_of(cells, [("u2_px",), ("image_c2",)], needed=False)
-    _one_of(cells, [("z_mm",), ("stereo",)], needed=reference)
+    _one_of(cells, [("z_mm",), ("stereo",)], needed=reference, without=pictured)
 
 
 def scan_sweep(text: str, *, name: str) -> Scanned[SweepTable]:
@@ -273,10 +280,21 @@ def _ids(cells: Cells) -> tuple[str, ...]:
     return ids
 
 
-def _one_of(cells: Cells, sources: list[tuple[str, ...]], *, needed: bool) -> None:
+def _one_of(
+    cells: Cells,
+    sources: list[tuple[str, ...]],
+    *,
+    needed: bool,
+    without: BoolArray | bool = False,
+) -> None:
     """Report rows that fill none, or more than one, of several sources of one quantity.
 
     A source the table has no column for is reported once, by `require_columns`, not row by row.
+
+    Parameters
+    ----------
+    without
+        Rows that need none.
     """
     names = " or ".join(" with ".join(source) for source in sources)
     if not any(column in cells for source in sources for column in source):
@@ -290,7 +308,12 @@ def _one_of(cells: Cells, sources: list[tuple[str, ...]], *, needed: bool) -> No
 
     cells.report(count > 1, None, several, f"give one of {names}")
     if needed:
-        cells.report(count == 0, None, f"none of {names} is given", "fill one of them")
+        cells.report(
+            (count == 0) & ~np.asarray(without),
+            None,
+            f"none of {names} is given",
+            "fill one of them",
+        )
 
 
 def _pair(cells: Cells, first: str, second: str, *, alone: bool) -> tuple[FloatArray, FloatArray]:

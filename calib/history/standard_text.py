@@ -142,7 +142,7 @@ def page(title: str, checked: Checked, *, accepted: int) -> str:
     head, *rows = table(checked, accepted=accepted)
     said = findings(checked, accepted=accepted)
     blocks: list[Block] = [Paragraph(f"{text[:1].upper()}{text[1:]}.") for text in said]
-    if not said:
+    if not said and len(checked.dates) > accepted:
         blocks.append(Paragraph("All charts are in control, and the last session agrees."))
     blocks += [
         Paragraph(f"{text[:1].upper()}{text[1:]}.") for text in notes(checked, accepted=accepted)

@@ -87,7 +87,7 @@ def share_of(
     return ModelShare(
         model=calibrated.model,
         weight=weight,
-        instrument=_without_draws(calibrated.instrument),
+        instrument=without_draws(calibrated.instrument),
         noise_factor=calibrated.noise_factor,
         factor95=table.factor95,
     )
@@ -109,7 +109,8 @@ def doubt_of(average: ModelAverage, table: DepthTable) -> str | None:
     )
 
 
-def _without_draws(instrument: Instrument) -> Instrument:
+def without_draws(instrument: Instrument) -> Instrument:
+    """Return an instrument by means and covariances alone."""
     shared = instrument.shared
     return replace(
         instrument,

@@ -76,7 +76,7 @@ def measure_by(
     seen
         As in `calib.instrument.measuring.measure`.
     model
-        `SELECTED`, `AVERAGE` or the name of a fitted model.
+        `SELECTED`, `AVERAGE`, "rows", "adjustment" or the name of a fitted model.
 
     Raises
     ------
@@ -91,6 +91,8 @@ def measure_by(
 def instrument_of(measuring: Measuring, model: str) -> Measuring:
     """Return the instrument as one model describes it, `SELECTED` or a fitted one by its name.
 
+    "rows" and "adjustment" are the instruments by the rows' selected model and by all pictures.
+
     Raises
     ------
     UsageError
@@ -98,6 +100,9 @@ def instrument_of(measuring: Measuring, model: str) -> Measuring:
     """
     if model == SELECTED:
         return measuring
+    if model in measuring.by:
+        return measuring.by[model]
+    measuring = _by_rows(measuring)
     for share in measuring.shares:
         if share.model == model:
             return replace(
@@ -106,8 +111,13 @@ def instrument_of(measuring: Measuring, model: str) -> Measuring:
                 noise_factor=share.noise_factor,
                 factor95=share.factor95,
             )
-    known = ", ".join((SELECTED, *(share.model for share in measuring.shares)))
+    known = ", ".join((SELECTED, *measuring.by, *(share.model for share in measuring.shares)))
     raise UsageError(f"--model {model}: is no one model of the calibration, which has {known}")
+
+
+def _by_rows(measuring: Measuring) -> Measuring:
+    """Return the instrument by the rows, among whose models the average is."""
+    return measuring.by.get("rows", measuring)
 
 
 def measure_average(
@@ -120,6 +130,7 @@ def measure_average(
     UsageError
         If the calibration does not hold the other models.
     """
+    measuring = _by_rows(measuring)
     shares = [share for share in measuring.shares if share.weight >= NEGLIGIBLE]
     if not shares:
         raise UsageError(

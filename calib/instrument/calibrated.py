@@ -39,7 +39,8 @@ from calib.uncertainty.predictive import (
 GRID_POINTS = 21
 """Depths of the uncertainty table."""
 
-_EVALUATION = {"data": "A", "prior": "B", "both": "A, B"}
+EVALUATION = {"data": "A", "prior": "B", "both": "A, B"}
+"""Of a standard uncertainty (JCGM 100, 2.3.2), by what decided the parameter."""
 
 
 @dataclass(frozen=True)
@@ -120,7 +121,7 @@ def instrument_from_draws(
         values=own.mean(axis=0),
         covariance=np.cov(own, rowvar=False) + fit.by_shared @ fit.by_shared.T,
         degrees_of_freedom=None,
-        evaluation=tuple(_EVALUATION[who] for who in fit.identified_by),
+        evaluation=tuple(EVALUATION[who] for who in fit.identified_by),
         draws=draws[:, :-1],
     )
     direction = float(np.median(rows.std[:, OBSERVABLE.x1c]))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -19,9 +19,10 @@ from calib.core.seal import is_edited
 from calib.geometry.camera import Camera
 from calib.instrument.document import (
     CameraFile,
+    CameraSection,
     File,
     GateSection,
-    Measurement,
+    OneInstrument,
     Section,
     Share,
 )
@@ -67,6 +68,9 @@ class Measuring:
         Checks of the calibration that failed: the result must not be used.
     serial
         Serial number of the rig; None if the dataset does not state it.
+    by
+        The instruments by the rows and by the adjustment, "rows" and "adjustment", where there are
+        both; this is one of them.
     """
 
     instrument: Instrument
@@ -77,6 +81,7 @@ class Measuring:
     shares: tuple[ModelShare, ...] = ()
     failed_gates: tuple[Gate, ...] = ()
     serial: str | None = None
+    by: Mapping[str, Measuring] = field(default_factory=dict)
 
 
 def read_calibration(path: Path, *, allow_edited: bool = False) -> Measuring:
@@ -181,14 +186,28 @@ def _failed(gates: Sequence[GateSection]) -> tuple[Gate, ...]:
 
 
 def _measuring(file: File) -> Measuring:
+    """Return the instrument of record, with the other one."""
     m = file.measurement
+    rows = _one(file, m, file.intrinsics)
+    reading = rows.instrument.reading
+    errors = rows.setup.shared.error_names
+    rows = replace(rows, shares=tuple(_share(share, reading, errors) for share in m.average))
+    if m.adjustment is None:
+        return rows
+    adjusted = _one(file, m.adjustment, m.adjustment.cameras)
+    by = {"rows": rows, "adjustment": adjusted}
+    return replace(by[file.method], by=by)
+
+
+def _one(file: File, m: OneInstrument, intrinsics: Mapping[str, CameraSection]) -> Measuring:
+    """Return one instrument of a file."""
     reading = ReadingSpread(
         x1c=m.reading.x1c.spread(),
         y1c=m.reading.y1c.spread(),
         alpha2_rad=m.reading.alpha2_rad.spread(),
         gaze_residual_rad=m.reading.gaze_residual_rad.spread(),
     )
-    cameras = {name: camera.camera() for name, camera in file.intrinsics.items()}
+    cameras = {name: camera.camera() for name, camera in intrinsics.items()}
     settings = RowSettings(
         u_x1c=m.stated.u_x1c,
         u_z_mm=0.0,
@@ -206,13 +225,12 @@ def _measuring(file: File) -> Measuring:
         noise_factor=m.noise_factor,
         calibrated_mm=m.calibrated_depth_mm,
         factor95=m.factor95,
-        shares=tuple(_share(share, reading, shared.error_names) for share in m.average),
         failed_gates=_failed(file.gates),
         serial=file.rig.serial,
     )
 
 
-def _errors(m: Measurement, of_readings: tuple[str, ...]) -> SharedErrors | None:
+def _errors(m: OneInstrument, of_readings: tuple[str, ...]) -> SharedErrors | None:
     """Return the shared errors: those that readings have too, then those of rows alone."""
     links = np.zeros((len(m.names), 0)) if m.shared is None else np.array(m.shared.with_parameters)
     if m.shared_by_rows is None:

@@ -116,53 +116,6 @@ class Share(Parameters):
     with_parameters: tuple[tuple[float, ...], ...] | None = None
 
 
-class Measurement(Parameters):
-    """All that measuring needs."""
-
-    reading: Reading
-    stated: Stated
-    calibrated_depth_mm: tuple[Positive, Positive]
-    shared: SharedSection | None = None
-    shared_by_rows: SharedByRows | None = None
-    average: tuple[Share, ...] = ()
-
-    @model_validator(mode="after")
-    def _belongs_together(self) -> Measurement:
-        size, loads = len(self.names), 0
-        if self.calibrated_depth_mm[0] > self.calibrated_depth_mm[1]:
-            raise ValueError("the calibrated depths end before they begin")
-        if self.shared is not None:
-            errors = {len(row) for row in (*self.shared.factor, *self.shared.with_parameters)}
-            counts = len(self.shared.factor), len(self.shared.with_parameters)
-            if len(errors) != 1 or counts != (len(self.shared.names), size):
-                raise ValueError("names and arrays of the shared errors do not belong together")
-            if self.shared.sources is not None and {len(self.shared.sources)} != errors:
-                raise ValueError("sources of the shared errors do not belong to them")
-            loads = errors.pop()
-        if self.shared_by_rows is not None:
-            rows = self.shared_by_rows.with_parameters
-            errors = {len(self.shared_by_rows.sources)}
-            if len(rows) != size or {len(row) for row in rows} != errors:
-                raise ValueError("errors that rows share and parameters do not belong together")
-        if self.average and abs(sum(share.weight for share in self.average) - 1) > SUM_OF_WEIGHTS:
-            raise ValueError("the models' weights do not add up to 1")
-        for share in self.average:
-            links = share.with_parameters or ((),) * len(share.names)
-            if len(links) != len(share.names) or {len(row) for row in links} != {loads}:
-                raise ValueError(f"shared errors and parameters of {share.model} do not match")
-        return self
-
-
-def _is_covariance(matrix: FloatArray) -> bool:
-    diagonal = np.diag(matrix)
-    if np.any(diagonal < 0):
-        return False
-    unit = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
-    correlation = matrix / np.outer(unit, unit)
-    symmetric = np.abs(correlation - correlation.T).max(initial=0.0) <= SYMMETRY
-    return bool(symmetric and np.linalg.eigvalsh(correlation).min(initial=0.0) >= -SYMMETRY)
-
-
 Row: TypeAlias = tuple[float, float, float]
 
 
@@ -185,6 +138,73 @@ class CameraSection(Section):
     def camera(self) -> Camera:
         """Return the camera."""
         return Camera(np.array(self.matrix), np.array(self.distortion), self.image_size)
+
+
+class OneInstrument(Parameters):
+    """All that measuring with one instrument needs."""
+
+    reading: Reading
+    stated: Stated
+    calibrated_depth_mm: tuple[Positive, Positive]
+    shared: SharedSection | None = None
+    shared_by_rows: SharedByRows | None = None
+
+    @property
+    def loads(self) -> int:
+        """How many errors readings share with the calibration."""
+        return 0 if self.shared is None else len(self.shared.factor[0])
+
+    @model_validator(mode="after")
+    def _belongs_together(self) -> Self:
+        size = len(self.names)
+        if self.calibrated_depth_mm[0] > self.calibrated_depth_mm[1]:
+            raise ValueError("the calibrated depths end before they begin")
+        if self.shared is not None:
+            errors = {len(row) for row in (*self.shared.factor, *self.shared.with_parameters)}
+            counts = len(self.shared.factor), len(self.shared.with_parameters)
+            if len(errors) != 1 or counts != (len(self.shared.names), size):
+                raise ValueError("names and arrays of the shared errors do not belong together")
+            if self.shared.sources is not None and {len(self.shared.sources)} != errors:
+                raise ValueError("sources of the shared errors do not belong to them")
+        if self.shared_by_rows is not None:
+            rows = self.shared_by_rows.with_parameters
+            errors = {len(self.shared_by_rows.sources)}
+            if len(rows) != size or {len(row) for row in rows} != errors:
+                raise ValueError("errors that rows share and parameters do not belong together")
+        return self
+
+
+class AdjustedInstrument(OneInstrument):
+    """The instrument by the adjustment, with its cameras."""
+
+    cameras: dict[str, CameraSection]
+
+
+class Measurement(OneInstrument):
+    """All that measuring needs."""
+
+    average: tuple[Share, ...] = ()
+    adjustment: AdjustedInstrument | None = None
+
+    @model_validator(mode="after")
+    def _shares_belong_to_it(self) -> Measurement:
+        if self.average and abs(sum(share.weight for share in self.average) - 1) > SUM_OF_WEIGHTS:
+            raise ValueError("the models' weights do not add up to 1")
+        for share in self.average:
+            links = share.with_parameters or ((),) * len(share.names)
+            if len(links) != len(share.names) or {len(row) for row in links} != {self.loads}:
+                raise ValueError(f"shared errors and parameters of {share.model} do not match")
+        return self
+
+
+def _is_covariance(matrix: FloatArray) -> bool:
+    diagonal = np.diag(matrix)
+    if np.any(diagonal < 0):
+        return False
+    unit = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
+    correlation = matrix / np.outer(unit, unit)
+    symmetric = np.abs(correlation - correlation.T).max(initial=0.0) <= SYMMETRY
+    return bool(symmetric and np.linalg.eigvalsh(correlation).min(initial=0.0) >= -SYMMETRY)
 
 
 class GateSection(Section):
@@ -225,5 +245,6 @@ class File(Section):
     format: Literal[1]
     gates: tuple[GateSection, ...] = ()
     rig: RigSection = RigSection()
+    method: Literal["rows", "adjustment"] = "rows"
     measurement: Measurement
     intrinsics: dict[str, CameraSection] = {}

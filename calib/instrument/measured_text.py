@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Sequence, Set
 
 from calib.core.errors import harmless as escaped
 from calib.dataset.readings import ReadingBlock
@@ -119,17 +119,22 @@ def source_rows(measured: Measured) -> str:
 
 
 def length_rows(
-    measured: Positions, lengths: LengthTable, *, gate_failed: bool = False
+    measured: Positions,
+    lengths: LengthTable,
+    *,
+    gate_failed: bool = False,
+    repeated: Set[str] = frozenset(),
 ) -> tuple[str, int]:
     """Return distances between measured points as CSV without header, and how many have none.
 
     The points share the calibration's errors, which largely cancel for points near each other.
+    `repeated` are ids that several readings have: no length says which of them it means.
     """
     place = {name: i for i, name in enumerate(measured.ids)}
     rows, failed = [], 0
     for i, name in enumerate(lengths.ids):
         ends = lengths.start[i], lengths.end[i]
-        fault = _length_fault(measured, place, ends)
+        fault = _length_fault(measured, place, ends, repeated)
         known = [lengths.length_mm[i], lengths.u_length_mm[i]]
         if fault is not None:
             failed += 1
@@ -142,8 +147,12 @@ def length_rows(
     return csv_text(rows), failed
 
 
-def _length_fault(measured: Positions, place: dict[str, int], ends: tuple[str, str]) -> str | None:
+def _length_fault(
+    measured: Positions, place: dict[str, int], ends: tuple[str, str], repeated: Set[str]
+) -> str | None:
     for point in ends:
+        if point in repeated:
+            return f"several readings have the id {point!r}: give each its own"
         if point not in place:
             return f"point {point!r} is not in the table of readings, or its row has a fault"
         if place[point] in measured.faults:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -261,6 +262,7 @@ def _depth_sources(table: GazeTable, faults: dict[int, str]) -> tuple[BoolArray,
     if not any(table.depth_row):
         return np.zeros(len(table), dtype=np.bool_), own
     place = {name: i for i, name in enumerate(table.ids)}
+    count = Counter(table.ids)
     source = own.copy()
     for i, name in enumerate(table.depth_row):
         if name is None or name == table.ids[i]:
@@ -268,6 +270,8 @@ def _depth_sources(table: GazeTable, faults: dict[int, str]) -> tuple[BoolArray,
         other = place.get(name)
         if other is None:
             faults[i] = f"depth_row {name!r} is not the id of a row of this table"
+        elif count[name] > 1:
+            faults[i] = f"depth_row {name!r} is the id of several rows: give each its own"
         elif table.depth_row[other] not in (None, name):
             faults[i] = f"depth_row {name!r} takes its own depth from another row"
         elif other in faults:

@@ -121,6 +121,7 @@ def _show(bench: Bench, asked: Asked | None, _: Mapping[Role, Grey], fault: str)
             "camera": asked.role,
             "outline": [[round(float(v), 1) for v in point] for point in asked.outline_px],
             "first": [round(float(v), 1) for v in asked.corners_px[0]],
+            "taken": [[[round(float(v), 1) for v in p] for p in quad] for quad in asked.taken_px],
             "why": asked.why,
             "fault": fault,
         }

@@ -12,6 +12,7 @@ from markupsafe import Markup
 
 from calib.report.blocks import Section
 from calib.report.context import ReportContext
+from calib.report.sections.adjustment import adjustment
 from calib.report.sections.comparison import comparison
 from calib.report.sections.data import data
 from calib.report.sections.depth import depth
@@ -39,6 +40,7 @@ SECTIONS: tuple[Callable[[Calibration, ReportContext], Section | None], ...] = (
     intrinsics,
     stereo,
     sweep,
+    adjustment,
     published,
     parameters,
     identifiability,

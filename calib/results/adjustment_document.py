@@ -14,6 +14,7 @@ from calib.geometry.parameters import embed
 from calib.geometry.poses import pose_matrix
 from calib.images.adjustment.result import AdjustedModel, Adjustment
 from calib.results.fits_document import derived, estimate
+from calib.results.images_document import camera_document
 from calib.rows.observations import Observations
 
 _BLOCKS = ("intrinsics_c1", "intrinsics_c2", "rig")
@@ -106,11 +107,7 @@ def adjustment_section(a: Adjustment) -> dict[str, Any]:
 
 def _camera(model: AdjustedModel, name: str, camera: Camera) -> dict[str, Any]:
     own = [i for i, lens in enumerate(model.lens_names) if lens.startswith(f"{name}.")]
-    found: dict[str, Any] = {
-        "matrix": camera.matrix,
-        "distortion": camera.distortion,
-        "image_size": list(camera.image_size),
-    }
+    found = camera_document(camera)
     if own:
         covariance = model.lens_covariance[np.ix_(own, own)]
         found |= {"std": np.sqrt(np.diag(covariance)), "covariance": covariance}

@@ -27,6 +27,7 @@ from calib.fit.robust import RobustFit
 from calib.geometry.camera import Camera
 from calib.images.adjustment.result import Adjustment
 from calib.images.result import ImageResult
+from calib.instrument.adjusted import ADJUSTMENT, Choice, Described
 from calib.instrument.averaging import ModelAverage
 from calib.instrument.calibrated import CalibratedInstrument, DepthTable, ValidationResult
 from calib.instrument.calibration_file import FORMAT
@@ -40,12 +41,12 @@ from calib.results.fits_document import (
     robust_document,
 )
 from calib.results.identifiability_document import identifiability_document
-from calib.results.images_document import images_document
+from calib.results.images_document import camera_document, images_document
+from calib.rows.from_table import CameraSet
 from calib.rows.observations import Observations
 from calib.rows.sketch import RowSketch
 from calib.uncertainty.evidence import Evidence
 from calib.uncertainty.measurement import Instrument, SharedErrors, Spread
-from calib.uncertainty.montecarlo import NORMAL_FACTOR
 
 DIGITS = 12
 """Significant digits of the numbers in calibration.json: beyond them lies only rounding."""
@@ -83,6 +84,11 @@ class GazeResult:
         Accuracy at the certified depths; None if no model could be fitted.
     default_priors
         Default priors that were scaled to a rig of another size: mean and standard deviation.
+    choice
+        Whether the instrument of record, `calibrated`, with what it measures, is that by the rows
+        or by the adjustment; None where there is none of these.
+    beside
+        The other one.
     """
 
     rows: Observations
@@ -103,6 +109,26 @@ class GazeResult:
     correction: Attempt | None = None
     evidence: Evidence | None = None
     default_priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    choice: Choice | None = None
+    beside: Described | None = None
+
+    @property
+    def by_rows(self) -> Described | None:
+        """The instrument by the rows."""
+        if self.choice is not None and self.choice.method == ADJUSTMENT:
+            return self.beside
+        if self.calibrated is None or self.depths is None:
+            return None
+        return Described(self.calibrated, self.depths, self.validation)
+
+    @property
+    def by_adjustment(self) -> Described | None:
+        """The instrument by the adjustment; None where there is none."""
+        if self.choice is None or self.calibrated is None or self.depths is None:
+            return None
+        if self.choice.method == ADJUSTMENT:
+            return Described(self.calibrated, self.depths, self.validation)
+        return self.beside
 
 
 @dataclass(frozen=True)
@@ -232,11 +258,7 @@ def _gaze(g: GazeResult) -> dict[str, Any]:
         document["comparison"] = [_score(score) for score in g.comparison.scores]
         document["selected"] = g.comparison.selected
         document["selection_rule"] = g.comparison.reason
-    if g.calibrated is not None:
-        factor = NORMAL_FACTOR if g.depths is None else g.depths.factor95
-        document["measurement"] = _measurement(g.calibrated) | {"factor95": factor}
-        if g.average is not None:
-            document["measurement"] |= average_document(g.average)
+    document |= _measured_by(g)
     if g.depths is not None:
         document["depth_uncertainty"] = _depths(g.depths)
     if g.average is not None:
@@ -253,6 +275,35 @@ def _gaze(g: GazeResult) -> dict[str, Any]:
         document["corrections"] = [correction_document(g.correction)]
     document["not_fitted"] = dict(g.refused)
     return document
+
+
+def _measured_by(g: GazeResult) -> dict[str, Any]:
+    """Return the instruments, and which is that of record."""
+    document: dict[str, Any] = {}
+    if g.choice is not None:
+        document["method"] = g.choice.method
+        document["method_rule"] = g.choice.reason
+    if g.by_rows is not None:
+        document["measurement"] = _described(g.by_rows)
+        if g.by_adjustment is not None:
+            document["measurement"]["adjustment"] = _described(g.by_adjustment) | {
+                "cameras": _cameras(g.by_adjustment.calibrated.setup.cameras)
+            }
+        if g.average is not None:
+            document["measurement"] |= average_document(g.average)
+    return document
+
+
+def _described(found: Described) -> dict[str, Any]:
+    return _measurement(found.calibrated) | {"factor95": found.depths.factor95}
+
+
+def _cameras(cameras: CameraSet) -> dict[str, Any]:
+    return {
+        name: camera_document(camera)
+        for name, camera in (("c1", cameras.c1), ("c2", cameras.c2))
+        if camera is not None
+    }
 
 
 def _fits(g: GazeResult) -> dict[str, Any]:

@@ -41,13 +41,14 @@ def images_document(
 def _given(camera: Camera, covariance: FloatArray) -> dict[str, Any]:
     count = len(camera.distortion)
     lens = f"OPENCV{count}" if count else "PINHOLE"
-    document = {"source": "given", "lens_model": lens} | _camera(camera)
+    document = {"source": "given", "lens_model": lens} | camera_document(camera)
     if covariance.any():
         document |= {"std": np.sqrt(np.diag(covariance)), "covariance": covariance}
     return document
 
 
-def _camera(camera: Camera) -> dict[str, Any]:
+def camera_document(camera: Camera) -> dict[str, Any]:
+    """Return matrix, lens and size of a camera."""
     return {
         "matrix": camera.matrix,
         "distortion": camera.distortion,
@@ -57,7 +58,7 @@ def _camera(camera: Camera) -> dict[str, Any]:
 
 def _lens(fit: LensFit) -> dict[str, Any]:
     std = np.sqrt(np.diag(fit.covariance))
-    found = {"lens_model": fit.lens_model} | _camera(fit.camera)
+    found = {"lens_model": fit.lens_model} | camera_document(fit.camera)
     found |= {"std": std, "rms_px": fit.rms_px, "rejected_points": fit.rejected}
     found["views"] = int(np.isfinite(fit.residuals).any(axis=(1, 2)).sum())
     if fit.board_warp_mm is not None:

@@ -303,15 +303,27 @@ class AveragePart(ModelPart):
     with_parameters: Matrix | None = None
 
 
-class Measurement(ModelPart):
-    """All that measuring needs, of the selected model."""
+class ByOneModel(ModelPart):
+    """All that measuring by one model needs."""
 
     stated: Stated
     reading: Reading
     calibrated_depth_mm: tuple[float, float]
     shared: Shared | None = None
     shared_by_rows: SharedByRows | None = None
+
+
+class AdjustedMeasurement(ByOneModel):
+    """All that measuring by the adjustment needs."""
+
+    cameras: dict[Literal["c1", "c2"], AdjustedCamera]
+
+
+class Measurement(ByOneModel):
+    """All that measuring needs: by the rows, of the selected model; by the adjustment."""
+
     average: list[AveragePart] | None = None
+    adjustment: AdjustedMeasurement | None = None
 
 
 class Depth(Part):
@@ -429,6 +441,10 @@ class Document(Part):
     comparison: list[Score] | None = None
     selected: str | None = None
     selection_rule: str | None = None
+    method: Literal["rows", "adjustment"] | None = Field(
+        None, description="by which the instrument of record is; absent: by the rows"
+    )
+    method_rule: str | None = Field(None, description="why")
     measurement: Measurement | None = None
     depth_uncertainty: list[Depth] | None = None
     depth_uncertainty_average: list[AverageDepth] | None = None

@@ -17,7 +17,7 @@ from calib.images.mrcal.solves import MIN_CORNERS
 from calib.images.pairs import single_view_pose
 from calib.images.stereo.reference import StereoReference
 from calib.images.stereo.solve import CameraPair
-from calib.images.stereo.triangulate import shared_names
+from calib.images.stereo.triangulate import position_on_board, shared_names
 from calib.rows.common_errors import Shared
 from calib.rows.from_table import U_PIXEL, CameraSet, ImageObservations
 
@@ -95,6 +95,7 @@ def observe_images(
     _refuse_missing(table, table.image_c1, pixel_c1)
     _refuse_missing(table, table.image_c2, pixel_c2)
     z, u_z, by_common = _depths(table, stereo, shared)
+    _add_by_board(table, board, views_c1, cameras, noise, shared, (z, u_z, by_common))
     return ImageObservations(
         pixel_c1=pixel_c1,
         pixel_c2=pixel_c2,
@@ -165,6 +166,44 @@ def _refuse_missing(table: GazeTable, names: tuple[str | None, ...], pixels: Flo
     ]
     if problems:
         raise InputError(problems)
+
+
+def _add_by_board(
+    table: GazeTable,
+    board: Board,
+    views: FloatArray,
+    cameras: CameraSet,
+    noise: CornerNoise,
+    shared: Shared,
+    depths: tuple[FloatArray, FloatArray, FloatArray],
+) -> None:
+    """Fill in the depths of rows without reference by the pose of their board in C1.
+
+    The side of a square gives the scale.
+
+    Parameters
+    ----------
+    views
+        Corners in each row's image by C1, px, shape (n, corners, 2).
+    depths
+        As `_depths` returns them.
+    """
+    z, u_z, by_common = depths
+    open_ = np.isnan(z) & np.isnan(table.z_mm) & finite(views).any(axis=-1)
+    rows = np.flatnonzero(open_)
+    if not len(rows) or cameras.c1 is None:
+        return
+    # The position by C1 alone takes nothing from C2; without one, C1 stands in its place.
+    both = cameras.c1, cameras.c2 or cameras.c1
+    sigma = _corner_noise(views[rows], board, cameras.c1, noise.warp_mm, least=noise.c1_px)
+    found = position_on_board(
+        views[rows], board, cameras=both, sigma_px=sigma, warp_mm=noise.warp_mm
+    )
+    names = shared_names(both)
+    kept = [names.index(name) for name in shared.names]
+    z[rows] = found.position_mm[:, 2]
+    u_z[rows] = np.sqrt(found.covariance[:, 2, 2])
+    by_common[rows] = found.by_shared[:, 2, kept] @ shared.factor
 
 
 def _depths(

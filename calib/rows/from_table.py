@@ -365,14 +365,22 @@ class _Source:
         """Return which rows have one reference measurement, and its error, mm; shape (n,) each.
 
         Stated depths are grouped by `group`, those of image pairs by pair: all that is uncertain
-        of a pair's depth is one error of the rows that take it from there.
+        of a pair's depth is one error of the rows that take it from there. Depths by the board in
+        a row's own picture stand alone.
         """
         stated = np.isfinite(self.table.z_mm)
         u = np.where(stated, self._u_group(self.table.z_mm), self.seen.u_z_mm)
         if not np.nan_to_num(u).any():
             return depth_groups((), u)
-        names = zip(stated.tolist(), self.table.groups, self.table.stereo, strict=True)
-        return depth_groups([(given, g if given else s) for given, g, s in names], u)
+        table = self.table
+        names = zip(stated.tolist(), table.groups, table.stereo, table.ids, strict=True)
+        return depth_groups(
+            [
+                ("group", g) if given else ("pair", s) if s else ("board", row)
+                for given, g, s, row in names
+            ],
+            u,
+        )
 
 
 def direction_by_common(xy: FloatArray, camera: Camera, shared: Shared) -> FloatArray:

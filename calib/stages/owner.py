@@ -5,33 +5,15 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 
 from calib.core.errors import UsageError
 from calib.core.limited import read_limited
+from calib.core.owner import Owner
 from calib.stages.store import CACHE, write_bytes
 
 LIMIT_BYTES = 1_000_000
 OWNER = Path(CACHE) / "dataset.json"
-
-
-@dataclass(frozen=True)
-class Owner:
-    """A dataset, as far as it says whose a run is.
-
-    Parameters
-    ----------
-    root, sha256
-        Its folder and the digest of its files.
-    name, serial
-        Of the dataset, and of its rig; "" where it does not state them.
-    """
-
-    root: Path
-    sha256: str
-    name: str = ""
-    serial: str = ""
 
 
 def claim(out: Path, owner: Owner) -> None:

@@ -10,10 +10,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import tomli_w
 from chain_runs import Chain, run_chain
 from dcc_schema import checked, shares, sources
+from scipy.stats import chi2
 
 from calib.core.errors import InputError
+from calib.dataset.readers import read_measurements
+from calib.instrument.by_model import measure_by
+from calib.instrument.calibration_file import read_calibration
 from calib.simulate.contents import IntrinsicViews, SimulationOptions, SweepPlan
 from calib.simulate.dataset import simulate_dataset
 
@@ -112,11 +117,15 @@ def test_shared_errors_reach_the_parameters(chain: Chain) -> None:
     assert np.linalg.norm(own[0]) > 0.05 * np.sqrt(gaze.robust["axis-offset"].covariance[0, 0])
 
 
-SOURCES = {"intrinsics of C1", "intrinsics of C2", "pose of C2 (stereo reference)"}
+SOURCES = {"intrinsics of C1", "intrinsics of C2"}
+BY_ROWS = SOURCES | {"pose of C2 (stereo reference)"}
 
 
 def test_cameras_are_named_where_their_errors_are_counted(chain: Chain) -> None:
-    """Property: certificate, budgets and calibration.json know three sources, and no number."""
+    """Property: certificate, budgets and calibration.json know the sources, and no number.
+
+    By the adjustment the pose of C2 is one of the parameters.
+    """
     root = checked((chain.out / "certificate.xml").read_bytes())
     named = sources(root)
     assert len(named) >= 3
@@ -124,7 +133,9 @@ def test_cameras_are_named_where_their_errors_are_counted(chain: Chain) -> None:
     table = shares(root)
     assert len(table) == len(named)
     assert all(0 <= share <= 100 for column in table for share in column)
-    assert set(chain.document["measurement"]["shared"]["sources"]) == SOURCES
+    measurement = chain.document["measurement"]
+    assert set(measurement["shared"]["sources"]) == BY_ROWS
+    assert set(measurement["adjustment"]["shared"]["sources"]) == SOURCES
     for row in chain.document["depth_uncertainty"]:
         parts = row["gum_sources_mm"]
         assert set(parts) >= SOURCES
@@ -133,6 +144,79 @@ def test_cameras_are_named_where_their_errors_are_counted(chain: Chain) -> None:
         text = (chain.out / name).read_text()
         assert all(source in text for source in SOURCES)
         assert not re.search(r"\bshared \d", text)
+
+
+def test_adjustment_is_the_instrument_and_within_its_covariance(chain: Chain) -> None:
+    """Simulated truth: all parameters together, by the true model and by the complete one."""
+    document = chain.document
+    assert document["method"] == "adjustment"
+    assert set(document["fits"]) >= {"axis-offset/adjustment", "complete/adjustment"}
+    assert "base/adjustment" in document["not_fitted"]  # e is 6 mm: the pictures show it
+    for name in ("axis-offset/adjustment", "complete/adjustment"):
+        fit = document["fits"][name]
+        error = [fit["parameters"][p]["value"] - chain.truth["parameters"][p] for p in fit["names"]]
+        std = np.sqrt(np.diag(fit["covariance"]))
+        correlation = np.array(fit["covariance"]) / np.outer(std, std)
+        distance = np.array(error) / std @ np.linalg.solve(correlation, np.array(error) / std)
+        assert distance < chi2.isf(1e-4, len(std)), name
+        assert len(fit["residual_mrad"]) == 8
+        assert fit["outliers"] == []
+    section = document["adjustment"]
+    assert section["pictures"] == {
+        "c1 lens": 14, "c1 pair": 8, "c1 row": 8, "c2 lens": 14, "c2 pair": 8, "c2 row": 8,
+        "c2 sweep": 14,
+    }  # fmt: skip
+
+
+def test_one_file_measures_by_rows_and_by_adjustment(chain: Chain) -> None:
+    """Property: the same reading by either agrees within their uncertainties; the default is that
+    of record, with the adjusted cameras."""
+    found = read_calibration(chain.out / "calibration.json")
+    table = read_measurements("id,u1_px,v1_px,alpha2_deg\na,380,310,84\n", name="t")
+    by = {m: measure_by(found, table, model=m) for m in ("selected", "rows", "adjustment")}
+    assert by["selected"].position_mm == pytest.approx(by["adjustment"].position_mm, rel=1e-12)
+    apart = np.abs(by["rows"].position_mm - by["adjustment"].position_mm)
+    assert np.all(apart > 0)
+    assert np.all(apart < 3 * by["rows"].std_mm)
+    c1 = found.setup.cameras.c1
+    assert c1 is not None
+    adjusted = chain.document["adjustment"]["intrinsics"]["c1"]["matrix"]
+    assert c1.matrix == pytest.approx(np.array(adjusted), rel=1e-11)
+
+
+@pytest.fixture(scope="module")
+def bare(rig: Path, tmp_path_factory: pytest.TempPathFactory) -> Chain:
+    """The rig's lens pictures and gaze rows with both pictures: no pairs, sweep, depths."""
+    folder = edited(rig, tmp_path_factory.mktemp("bare") / "rig")
+    manifest = tomllib.loads((folder / "dataset.toml").read_text())
+    for section in ("stereo", "sweep", "lengths"):
+        del manifest[section]
+    manifest["gaze"]["reference"] = "squares of the board"
+    (folder / "dataset.toml").write_text(tomli_w.dumps(manifest))
+    rows = [line.split(",")[:4] for line in (folder / "gaze.csv").read_text().splitlines()]
+    (folder / "gaze.csv").write_text("\n".join(map(",".join, rows)) + "\n")
+    return run_chain(folder, tmp_path_factory.mktemp("out"))
+
+
+@pytest.mark.slow
+def test_rows_with_both_pictures_calibrate_alone(bare: Chain, chain: Chain) -> None:
+    """Simulated truth: the squares give the scale; depths hold their intervals."""
+    assert bare.calibration.passed
+    assert bare.document["method"] == "adjustment"
+    assert "stereo" not in bare.document
+    pulls = bare.pulls("complete/adjustment")
+    assert np.abs(list(pulls.values())).max() < 4, pulls
+    truth = bare.truth["rows"]["validation"]
+    inside = [
+        row["low95_mm"] <= truth[row["id"]]["point_mm"][2] <= row["high95_mm"]
+        for row in bare.document["validation"]
+    ]
+    assert sum(inside) >= 6
+    u, whole = (
+        np.array([row["u_mm"] for row in run.document["depth_uncertainty"]])
+        for run in (bare, chain)
+    )
+    assert np.median(u / whole) < 1.5
 
 
 def edited(rig: Path, out: Path) -> Path:

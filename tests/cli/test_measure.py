@@ -202,6 +202,25 @@ def test_depth_of_another_row(file: Path, capsys: pytest.CaptureFixture[str]) ->
     assert found["corner"]["u_z_mm"] == found["centre"]["u_z_mm"]
 
 
+def test_an_id_of_several_readings_is_no_end_of_a_length_and_no_depth_row(
+    file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    table, pairs = file.parent / "t.csv", file.parent / "l.csv"
+    table.write_text("id,x1c,y1c,alpha2_deg\na,0.05,0.1,87\na,0.06,0.1,89\nb,0.25,-0.05,91\n")
+    pairs.write_text("id,from,to\np,a,b\nq,b,b2\n")
+    ended = call(capsys, "measure", file, table, "--lengths", pairs)
+    assert ended.status == 3
+    row = rows_of(ended.out)["p"]
+    assert row["length_mm"] == ""
+    assert row["status"] == "several readings have the id 'a': give each its own"
+    table.write_text(
+        "id,x1c,y1c,alpha2_deg,depth_row\na,0.05,0.1,87,\na,0.06,0.1,89,\nb,0.25,-0.05,91,a\n"
+    )
+    found = rows_of(call(capsys, "measure", file, table).out)["b"]
+    assert found["z_mm"] == ""
+    assert "several rows" in found["status"]
+
+
 def test_lengths(file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     table, pairs = tmp_path / "t.csv", tmp_path / "l.csv"
     table.write_text("id,x1c,y1c,alpha2_deg\na,0.05,0.1,87\nb,0.25,-0.05,91\n")

@@ -20,8 +20,9 @@ from test_measure import calibration
 from calib.cli.arguments import PathRole, guard_outputs, roles
 from calib.cli.main import parser
 from calib.core.errors import UsageError
+from calib.core.owner import Owner
 from calib.stages.output_guard import files_of, guarded
-from calib.stages.owner import Owner, claim
+from calib.stages.owner import claim
 from calib.stages.store import Store
 from tests.history.test_index import TRUTH, written
 

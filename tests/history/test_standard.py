@@ -155,6 +155,12 @@ def test_command(
     assert "ALARM" not in out
     assert "in control" in page.read_text()
     assert page.read_text().count("<svg") == 6
+    few = tmp_path / "few.csv"
+    few.write_text(readings(np.random.default_rng(3), 2))
+    assert main([*command[:-1], str(few), "--out", str(page)]) == 0
+    assert "no chart yet" in page.read_text()
+    assert "in control" not in page.read_text()
+    capsys.readouterr()
     table.write_text(readings(np.random.default_rng(3), 12, since=8, change={"delta2_rad": 2e-3}))
     assert main([*command, "--out", str(page)]) == 3
     assert "the encoder's zero has slipped" in capsys.readouterr().out

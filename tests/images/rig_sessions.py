@@ -10,7 +10,7 @@ import numpy as np
 
 from calib.core.arrays import FloatArray
 from calib.geometry.board import Board, Corners
-from calib.geometry.camera import Camera, camera_from_vector, intrinsic_vector
+from calib.geometry.camera import camera_from_vector, intrinsic_vector
 from calib.geometry.parameters import PARAMETERS, EncoderTerm
 from calib.images.adjustment.gather import Rows, Swept, Taken
 from calib.images.bundle import deformed
@@ -29,12 +29,13 @@ class Layout:
     """What a session has."""
 
     rows: int = 8
-    lens: int = 10
+    lens: int = 6
     placements: int = 2
     swept: int = 8
     pairs: bool = True
     free: tuple[bool, bool] = (True, True)
     is_left: bool = False
+    u_given: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -56,19 +57,26 @@ class Pictured:
             found.append(Corners(own, pixels, ("cache",) * len(own), camera.image_size))
         return found[0], found[1]
 
-    def pair(self, rng: np.random.Generator, free: tuple[bool, bool]) -> CameraPair:
-        """Cameras to start from: a little off where they are free."""
-        drawn = [
-            _shaken(c, rng) if f else c
-            for c, f in zip((self.rig.c1, self.rig.c2), free, strict=True)
-        ]
-        zeros = np.zeros((9, 9))
-        return CameraPair((drawn[0], drawn[1]), (zeros, zeros), self.rig.is_left, free)
-
-
-def _shaken(camera: Camera, rng: np.random.Generator) -> Camera:
-    drawn = intrinsic_vector(camera) + LENS_STD * rng.standard_normal(9)
-    return camera_from_vector(drawn, camera.image_size)
+    def pair(
+        self, rng: np.random.Generator, free: tuple[bool, bool], *, u_given: float = 0.0
+    ) -> CameraPair:
+        """Cameras to start from: a little off where they are free; given ones by `u_given`."""
+        cameras, covariances = [], []
+        for camera, is_free in zip((self.rig.c1, self.rig.c2), free, strict=True):
+            size = u_given * camera.matrix[0, 0]
+            std = LENS_STD if is_free else np.r_[size * np.ones(4), np.zeros(5)]
+            by_focal = np.zeros((9, 9))
+            by_focal[:2, :2] = size**2
+            own = np.zeros((9, 9)) if is_free else np.diag([0, 0, *std[2:] ** 2]) + by_focal
+            error = std * rng.standard_normal(9)
+            if not is_free:
+                error[1] = error[0]
+            drawn = intrinsic_vector(camera) + error
+            cameras.append(camera_from_vector(drawn, camera.image_size))
+            covariances.append(own)
+        return CameraPair(
+            (cameras[0], cameras[1]), (covariances[0], covariances[1]), self.rig.is_left, free
+        )
 
 
 def everything(rng: np.random.Generator, *, is_left: bool = False) -> Rig:

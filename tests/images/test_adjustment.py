@@ -24,6 +24,7 @@ from calib.images.joint.reduced import Unknowns, eliminated
 from calib.simulate.rig import Rig, c2_pose, draw_rig
 
 SIGMA_PX = 0.1
+EVERYTHING = Layout()
 
 
 def unknowns_of(rig: Rig) -> FloatArray:
@@ -37,10 +38,11 @@ def adjusted(
     pictured: Pictured,
     *,
     sigma_px: float = SIGMA_PX,
-    free: tuple[bool, bool] = (True, True),
+    layout: Layout = EVERYTHING,
 ) -> Adjustment:
     corners = pictured.corners(rng, sigma_px)
-    return adjust(*corners, pictured.taken, pictured.board, pictured.pair(rng, free))
+    pair = pictured.pair(rng, layout.free, u_given=layout.u_given)
+    return adjust(*corners, pictured.taken, pictured.board, pair)
 
 
 def statistic(model: AdjustedModel, rig: Rig) -> float:
@@ -84,8 +86,7 @@ def test_gradient_and_normals_are_those_of_central_differences() -> None:
         pictured.taken,
         pictured.corners(rng, SIGMA_PX),
         pictured.board,
-        cameras=pair.cameras,
-        free=pair.free,
+        pair,
     )
     shared = start.shared.copy()
     shared[problem.at_bow] = 0.4, -0.2
@@ -138,6 +139,7 @@ LAYOUTS = {
     "left": Layout(is_left=True),
     "no pairs, no sweep": Layout(rows=14, placements=0, pairs=False),
     "given lenses": Layout(free=(False, False)),
+    "uncertain lenses": Layout(free=(False, False), u_given=1e-3),
 }
 
 
@@ -146,7 +148,7 @@ def test_parameters_within_their_covariance(layout: Layout) -> None:
     """Simulated truth: all parameters together, at a chance of 1e-4 to fail."""
     rng = np.random.default_rng(3)
     rig = everything(rng, is_left=layout.is_left)
-    found = adjusted(rng, session(rng, rig, layout), free=layout.free)
+    found = adjusted(rng, session(rng, rig, layout), layout=layout)
     assert [gate for gate in found.gates if not gate.passed] == []
     model = found.complete
     assert statistic(model, rig) < chi2.isf(1e-4, len(model.names))
@@ -232,8 +234,7 @@ def test_the_minimum_is_one_in_all_directions(scene: Pictured) -> None:
         pictured.taken,
         pictured.corners(rng, SIGMA_PX),
         pictured.board,
-        cameras=pair.cameras,
-        free=pair.free,
+        pair,
     )
     found = solve(problem, start)
     normals = evaluate(found.problem, found.reduced.at, found.weight).normals
@@ -249,7 +250,7 @@ RIGS = 25
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "layout",
-    [Layout(), Layout(rows=14, placements=0, pairs=False)],
+    [Layout(lens=10), Layout(rows=14, lens=10, placements=0, pairs=False)],
     ids=["everything", "no pairs, no sweep"],
 )
 def test_uncertainties_hold_over_many_rigs(layout: Layout) -> None:

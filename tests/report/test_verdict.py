@@ -146,6 +146,28 @@ def test_a_common_factor_of_all_validation_depths_points_to_the_scale(
     assert f"the worst first: v{far[0]}, v{far[1]}, v{far[2]}" in text
 
 
+def test_rows_of_one_depth_are_one_measurement_whichever_has_the_reference() -> None:
+    """The second group's first row has no value of the reference; its depth row has."""
+    depth = np.array([500.0, 500.0, 1000.0, 1000.0, 1000.0])
+    error = np.array([0.05, 0.0, np.nan, 0.0, 0.05])
+    validation = SimpleNamespace(
+        prediction=SimpleNamespace(low95_mm=depth - 1.0, high95_mm=depth + 1.0),
+        errors=(
+            SimpleNamespace(
+                name="tape",
+                error_rel=error,
+                reference_mm=np.where(np.isfinite(error), depth, np.nan),
+                std_mm=np.full(5, 0.5),
+            ),
+        ),
+        depth_of=np.array([0, 0, 3, 3, 3]),
+        ids=("a", "b", "c", "d", "e"),
+    )
+    (text,) = disagreements(replace(gaze(), validation=validation))
+    assert text.startswith("1 of 2 validation depths differ from tape")
+    assert "the worst first: a)" in text
+
+
 def test_uncertainties_stated_far_too_large_are_remarked_on() -> None:
     """Simulated: 20 rows whose residuals are a fiftieth of what is stated; honest ones say nothing.
 

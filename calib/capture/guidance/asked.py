@@ -37,6 +37,8 @@ class Asked:
         What it is to be.
     unit
         "px" or "%".
+    taken_px
+        Where the boards of the pictures taken were: their four corners, px, shape (v, 4, 2).
     """
 
     role: Role
@@ -47,6 +49,7 @@ class Asked:
     u_then: float
     needed: float
     unit: str
+    taken_px: FloatArray
 
 
 def asked_for(
@@ -58,6 +61,7 @@ def asked_for(
     u: tuple[float, float],
     needed: float,
     unit: str,
+    taken: FloatArray,
 ) -> Asked:
     """Return what is asked for by a pose, camera from board, shape (6,).
 
@@ -65,6 +69,8 @@ def asked_for(
     ----------
     u
         Before and after.
+    taken
+        Corners of the pictures taken, px, shape (v, corners, 2).
     """
     corners = project(camera, transform(pose, board.object_points()))
     around = _along(rim(board))
@@ -74,12 +80,20 @@ def asked_for(
         role=role,
         corners_px=corners,
         outline_px=outline,
-        why=f"{where(outline, camera.image_size)}, {tilt_words(pose)}: {now} -> {then} {unit}",
+        why=f"{where(outline, camera.image_size)}, {tilt_words(pose)}: u {now} to {then} {unit}",
         u_now=u[0],
         u_then=u[1],
         needed=needed,
         unit=unit,
+        taken_px=_ends(taken, board),
     )
+
+
+def _ends(taken: FloatArray, board: Board) -> FloatArray:
+    """Return the four outermost corners of pictures that show all of them, px, (v, 4, 2)."""
+    last = board.columns * board.rows - 1
+    ends: FloatArray = taken[:, [0, board.columns - 1, last, last - board.columns + 1]]
+    return ends[np.isfinite(ends).all(axis=(1, 2))]
 
 
 def _along(corners: FloatArray) -> FloatArray:

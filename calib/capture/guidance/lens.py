@@ -144,6 +144,10 @@ class LensGuide:
         self._take(self._solved(pixels))
         self._pixels = pixels
 
+    def solve_again(self) -> None:
+        """Solve the pictures so far anew, from where the solution is."""
+        self._take(self._solved(self._pixels))
+
     def _take(self, known: Known) -> None:
         """Take what is known now as the ground of what follows."""
         self.known = known
@@ -166,6 +170,7 @@ class LensGuide:
         return asked_for(
             self.role, self.camera, self.board, poses[best],
             u=(self.u, float(np.sqrt(variance[best]))), needed=self.needed, unit=self.unit,
+            taken=self._pixels,
         )  # fmt: skip
 
     def refuse(self) -> None:

@@ -46,7 +46,7 @@ SPACING_MIN_PX: Final = 9.0
 PLACES: Final = (5, 4)
 """Places across and down C1's picture where a board may be, and depths are asked for."""
 
-DEPTHS: Final = 4
+DEPTHS: Final = 3
 
 ROLES: Final[tuple[Role, Role]] = ("c1", "c2")
 
@@ -170,6 +170,7 @@ class PairGuide:
             "c1", self._camera(0), self.board, poses[best],
             u=(self.u, float(np.sqrt(variance[best]))), needed=self.needed,
             unit=f"% of depth, {_distance(poses[best], self.board):.0f} mm away",
+            taken=self._pixels[:, 0],
         )  # fmt: skip
 
     def refuse(self) -> None:
@@ -220,8 +221,9 @@ class PairGuide:
     def _candidates(self) -> FloatArray:
         """Return poses in C1 at which both cameras see the whole board, shape (n, 6)."""
         c1, c2 = self._camera(0), self._camera(1)
-        tilted = turns()
-        tilted = tilted[np.linalg.norm(tilted, axis=1) < np.radians(TILTS_DEG[1] + 1)]
+        every = turns()
+        tilt = np.degrees(np.linalg.norm(every, axis=1))
+        tilted = every[(tilt < 1) | (tilt > TILTS_DEG[-1] - 1)]
         middle = rim(self.board).mean(axis=0)
         rays = _rays(c1, 0.12)
         depths = _depths(self._need)

@@ -38,8 +38,8 @@ FILLS: Final = (0.3, 0.5)
 READINGS: Final = 12
 """Pictures of a placement."""
 
-TRIED: Final = 5
-"""Pictures by which placements are compared."""
+TRIED, TRIED_POSES = 4, 32
+"""Pictures by which placements are compared, and about so many placements."""
 
 STEP_RAD: Final = float(np.radians(0.5))
 LIMIT_RAD: Final = float(np.radians(40.0))
@@ -91,7 +91,7 @@ class SweepGuide:
         self._asked = _depth_by(need)
         self._shown = np.zeros((0, board.corner_count, 2))
         self._poses = in_picture(camera, board, fills=FILLS)
-        self._poses = self._poses[:: max(1, len(self._poses) // 60)]
+        self._poses = self._poses[:: max(1, len(self._poses) // TRIED_POSES)]
         self._information = self._prior()
         self.count = 0
         self.u = self._u_of(self._information)
@@ -128,6 +128,7 @@ class SweepGuide:
         return asked_for(
             "c2", self.camera, self.board, self._poses[best], u=(self.u, float(value[best])),
             needed=self.needed, unit="% of depth by the axis",
+            taken=self._shown,
         )  # fmt: skip
 
     def refuse(self) -> None:

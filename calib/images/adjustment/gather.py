@@ -13,22 +13,25 @@ from scipy.optimize import least_squares
 from calib.core.arrays import FloatArray
 from calib.core.errors import EstimationError
 from calib.geometry.board import Board, Corners
-from calib.geometry.camera import Camera
 from calib.geometry.parameters import ENCODER_CENTRE_RAD, INDEX, PARAMETERS
 from calib.geometry.poses import pose_matrix, pose_vector
 from calib.images.adjustment.mounting import ENCODER, RIG, pose_of
 from calib.images.adjustment.problem import BOW, Pictures, Problem
-from calib.images.bundle import finite
+from calib.images.bundle import finite, inverse
 from calib.images.detection.grid import orient_like
 from calib.images.joint.reduced import Unknowns
 from calib.images.mrcal.solves import MIN_CORNERS
 from calib.images.pairs import half_turn_looks_same, single_view_pose
+from calib.images.stereo.solve import CameraPair
 
 MIN_VIEWS = 3
 """Boards seen by both cameras: the poses of two could agree by chance, that of a third checks."""
 
 ENOUGH_TURN_RAD = float(np.deg2rad(5.0))
 """Turn of C2 below which its pictures do not tell the yaw axis from C2's own place."""
+
+HELD_PX, HELD_COEFFICIENT = 1e-4, 1e-7
+"""Standard deviations that hold what is exact of a given lens: a thousandth of corner noise."""
 
 _TURN, _SHIFT = 0.005, 0.01
 """Of single views: error of a direction, rad, and of a shift in parts of the depth."""
@@ -157,14 +160,18 @@ def gather(
     taken: Taken,
     corners: tuple[Corners, Corners],
     board: Board,
-    *,
-    cameras: tuple[Camera, Camera],
-    free: tuple[bool, bool],
+    rig: CameraPair,
 ) -> tuple[Problem, Unknowns]:
     """Return the problem and where to start it.
 
     A picture named for several purposes, or under several names, counts once: first as part of a
-    pair, then of a row, of the sweep, for a lens.
+    pair, then of a row, of the sweep, for a lens. A given lens is an unknown, too, within its
+    uncertainty.
+
+    Parameters
+    ----------
+    rig
+        Cameras to start from; the pictures for a lens that is not `free` are left out.
 
     Raises
     ------
@@ -177,7 +184,7 @@ def gather(
     _add_rows(found, taken.rows, seen, board)
     _add_sweep(found, taken.sweep, seen[1], board)
     for c in (0, 1):
-        for name in taken.lens[c] if free[c] else ():
+        for name in taken.lens[c] if rig.free[c] else ():
             if _shown(seen[c], name):
                 found.add_alone(name, "lens", c, seen[c][name])
     if not found.names:
@@ -196,14 +203,29 @@ def gather(
     problem = Problem(
         pictures=pictures,
         points=board.object_points(),
-        cameras=cameras,
-        free=free,
+        cameras=rig.cameras,
+        free=(_uncertain(rig, 0), _uncertain(rig, 1)),
         names=RIG,
         prior=tuple(known[name] for name in RIG),
         reading_std_rad=taken.reading_std_rad,
+        lens_information=(_information(rig, 0), _information(rig, 1)),
     )
-    rig, poses = _start(problem)
-    return problem, problem.start(rig, np.zeros(BOW), poses)
+    mounted, poses = _start(problem)
+    return problem, problem.start(mounted, np.zeros(BOW), poses)
+
+
+def _uncertain(rig: CameraPair, camera: int) -> bool:
+    return rig.free[camera] or bool(np.any(rig.covariances[camera]))
+
+
+def _information(rig: CameraPair, camera: int) -> FloatArray:
+    """Return what is known of a lens beforehand: nothing where its pictures are used."""
+    covariance = rig.covariances[camera]
+    if rig.free[camera]:
+        return np.zeros_like(covariance)
+    least = np.full(len(covariance), HELD_COEFFICIENT)
+    least[:4] = HELD_PX
+    return inverse(covariance + np.diag(least**2))
 
 
 def _known(priors: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:

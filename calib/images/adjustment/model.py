@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from calib.core.arrays import BoolArray, FloatArray, IntArray
-from calib.geometry.camera import Camera
+from calib.geometry.camera import Camera, intrinsic_vector
 from calib.geometry.poses import rotation
 from calib.images.adjustment.mounting import RIG, Turned, seen, seen_by_rig, seen_by_turn, turned
 from calib.images.adjustment.problem import POSE, Pictures, Problem
@@ -329,7 +329,7 @@ def _scatter(sums: ViewNormals, views: IntArray, place: IntArray, total: FloatAr
 
 
 def _add_known(problem: Problem, at: Unknowns, sums: ViewNormals) -> float:
-    """Add what is known of rig and shared readings beforehand, as the last view."""
+    """Add what is known of rig, readings and lenses beforehand, as the last view."""
     mean, std = np.array(problem.prior).reshape(-1, 2).T
     held = len(problem.at_held)
     mean = np.concatenate([mean, np.zeros(held)])
@@ -338,7 +338,16 @@ def _add_known(problem: Problem, at: Unknowns, sums: ViewNormals) -> float:
     off = at.shared[place] - mean
     sums.shared[-1, place, place] += weight
     sums.shared_gradient[-1, place] += weight * off
-    return float(weight @ off**2)
+    cost = float(weight @ off**2)
+    for c in (0, 1):
+        lens = problem.at_lens(c)
+        if len(lens):
+            off = at.shared[lens] - intrinsic_vector(problem.cameras[c])
+            pull = problem.lens_information[c] @ off
+            sums.shared[-1][np.ix_(lens, lens)] += problem.lens_information[c]
+            sums.shared_gradient[-1, lens] += pull
+            cost += float(off @ pull)
+    return cost
 
 
 def _joined(readings: list[Readings], n: int) -> Readings:

@@ -86,6 +86,9 @@ class Problem:
         C1 and C2 to start from.
     free
         Whether the intrinsics of each are unknowns.
+    lens_information
+        What is known of the intrinsics of each beforehand, about those of `cameras`: inverse of
+        their covariance; zeros where they are free and nothing is.
     names
         Free unknowns of the rig, in the order of `RIG`; the others are 0.
     prior
@@ -101,6 +104,7 @@ class Problem:
     names: tuple[str, ...]
     prior: tuple[tuple[float, float], ...]
     reading_std_rad: float
+    lens_information: tuple[FloatArray, FloatArray]
 
     @property
     def images(self) -> Pictures:

@@ -156,16 +156,14 @@ def adjust(
     Parameters
     ----------
     rig
-        Cameras to start from; those that are not `free` are held.
+        Cameras to start from; those that are not `free` move within their covariance.
 
     Raises
     ------
     EstimationError
         If the pictures do not tell the rig, with the reason; if no minimum is reached.
     """
-    problem, start = gather(
-        taken, (corners_c1, corners_c2), board, cameras=rig.cameras, free=rig.free
-    )
+    problem, start = gather(taken, (corners_c1, corners_c2), board, rig)
     found = solve(problem, start)
     reading = np.pi / 2 if taken.held_rad is None else taken.held_rad
     complete = _described(COMPLETE, found, found, reading)

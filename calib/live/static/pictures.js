@@ -44,7 +44,18 @@ function column(pen, u, height, unit) {
   pen.setLineDash([]);
 }
 
-function fillIn(pen, { outline: points, first }, unit) {
+function fillIn(pen, { outline: points, first, taken }, unit) {
+  // Where boards were: the more of them, the denser.
+  pen.fillStyle = "rgba(33,208,122,.10)";
+  pen.strokeStyle = "rgba(33,208,122,.6)";
+  pen.lineWidth = unit;
+  for (const quad of taken) {
+    pen.beginPath();
+    quad.forEach(([u, v], i) => (i ? pen.lineTo(u, v) : pen.moveTo(u, v)));
+    pen.closePath();
+    pen.fill();
+    pen.stroke();
+  }
   const way = new Path2D();
   points.forEach(([u, v], i) => (i ? way.lineTo(u, v) : way.moveTo(u, v)));
   way.closePath();

@@ -53,7 +53,7 @@ def draw_setup(
         L_b + e with its 95 % interval, as printed everywhere; empty without an eccentricity, where
         L_b is the same.
     """
-    figure = new_figure(height_in=4.5, margins=Margins(left=0.2, bottom=0.6, top=0.3, between=0.25))
+    figure = new_figure(height_in=4.5, margins=Margins(left=0.2, bottom=0.8, top=0.3, between=0.25))
     sketch, plan = figure.subplots(1, 2, width_ratios=(1.15, 1.0))
     _sketch(sketch, theta, free, effective)
     _plan(plan, rows, theta)
@@ -112,13 +112,13 @@ def _sketch(axes: Axes, theta: FloatArray, free: tuple[str, ...], effective: str
     )
     # L_b and e alone are often known far less well than their sum.
     summed = () if not effective else ("baseline_mm", "eccentricity_mm")
-    found = [effective] if effective else []
-    found += [
+    found = [
         f"{plain_symbol(name)} = {_mm(theta, name)}"
         for name in _DRAWN
         if name in free and name not in summed
     ]
-    axes.set_xlabel(", ".join(found) + "\n$α = α_2 + δ_2$, $α_2$ read by the encoder")
+    lines = [effective, ", ".join(found), "$α = α_2 + δ_2$, $α_2$ read by the encoder"]
+    axes.set_xlabel("\n".join(line for line in lines if line))
     axes.grid(visible=False)
     for edge in ("left", "bottom"):
         axes.spines[edge].set_visible(False)

@@ -81,6 +81,6 @@ def _other_model(gaze: GazeResult) -> str:
     ours, theirs = (significant(100 * scores[m], digits=2) for m in (selected, best))
     return (
         f"The selected model {selected} validates worse there than {best}, {ours} against {theirs} "
-        f"% rms: the calibration rows alone select, for the reason below; a reference that took "
-        "part in it could check the model no more. "
+        f"% rms. Models are selected by the calibration rows alone (see below): a reference that "
+        "helped to select one could no longer check it. "
     )

@@ -133,8 +133,8 @@ def _scene(gaze: GazeResult, theta: np.ndarray) -> list[Block]:
             "rig",
             scene_data(gaze.rows, theta, depths),
             "The rig and its targets, to scale: drag or use the arrow keys to turn it, wheel or + "
-            "and − to zoom (the wheel after a click), point at a target for its place. Red: rays "
-            "of C1; blue: the yaw axis, and lines from it to the targets; green: 95 % "
+            "and − to zoom (the wheel after a click); point at a target for its place. Orange: "
+            "rays of C1; blue: the yaw axis, and lines from it to the targets; green: 95 % "
             "ellipsoids of position at the certified depths, enlarged as written in the corner "
             "(key M: true size).",
         )

@@ -114,7 +114,15 @@ def _model(
     meant = MODELS.get(posterior.model, "")
     return table(
         Markup("Model <em>{}</em>{}: {}").format(posterior.model, chosen, meant),
-        ("Symbol", "Meaning", "Estimate ± u", "Unit", "95 % interval", "Decided by", "Prior"),
+        (
+            "Symbol",
+            "Meaning",
+            "Estimate ± u",
+            "Unit",
+            "95 % interval, equal tails",
+            "Decided by",
+            "Prior",
+        ),
         rows,
         note=_tied(fit),
     )

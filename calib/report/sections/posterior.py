@@ -69,7 +69,7 @@ def _table(p: Posterior) -> Table:
     heads = (
         "Parameter",
         "Mean ± u",
-        "95 % interval",
+        "95 % interval, equal tails",
         "τ / steps",
         "Effective draws, bulk",
         "Effective draws, tails",

@@ -9,6 +9,7 @@ from markupsafe import Markup
 
 from calib.core.gate import Gate
 from calib.images.result import ImageResult
+from calib.instrument.adjusted import ADJUSTMENT, ROWS
 from calib.instrument.calibrated import CalibratedInstrument
 from calib.report.blocks import (
     Block,
@@ -110,12 +111,22 @@ def _gaze(gaze: GazeResult, context: ReportContext) -> list[Block]:
     tiles = [*_parameter_tiles(gaze), *_depth_tiles(gaze), *_validation_tiles(gaze, context)]
     return [
         KeyFigures(tuple(tiles)),
+        *_instrument(gaze),
         Paragraph(
             Markup("Selected model: <strong>{}</strong>. {}.").format(
                 gaze.comparison.selected, _capital(gaze.comparison.reason)
             )
         ),
     ]
+
+
+def _instrument(gaze: GazeResult) -> list[Block]:
+    """Say from what the instrument is taken, where there is a choice."""
+    if gaze.choice is None:
+        return []
+    by = {ROWS: "the gaze rows", ADJUSTMENT: "the adjustment of all pictures"}[gaze.choice.method]
+    words = Markup("Depths are measured by <strong>{}</strong>: {}.")
+    return [Paragraph(words.format(by, gaze.choice.reason))]
 
 
 def _capital(text: str) -> str:
@@ -166,7 +177,7 @@ def _depth_tiles(gaze: GazeResult) -> list[tuple[Text, Text, Text]]:
     tiles: list[tuple[Text, Text, Text]] = []
     for i in dict.fromkeys((int(inside[0]), int(inside[-1]))):
         z, u = float(gaze.depths.depth_mm[i]), float(gaze.depths.prediction.u_mm[i])
-        share = f"{significant(100 * u / z, digits=2)} % of depth"
+        share = f"{significant(100 * u / z, digits=2)} % of depth, on C1's optical axis"
         tiles.append(
             (
                 Markup("<i>u</i>(<i>z</i>) at {} mm").format(f"{z:.0f}"),

@@ -39,7 +39,7 @@ class RigPart(Part):
     """The rig."""
 
     c2: Literal["right", "left"] = Field(description="side of C1 on which C2 stands")
-    serial: str | None = None
+    serial: str | None = Field(None, description="of the rig, as the manifest states it")
 
 
 class Lens(Part):
@@ -50,9 +50,9 @@ class Lens(Part):
     distortion: Vector = Field(description="OpenCV's order")
     image_size: tuple[int, int]
     std: Vector | None = Field(None, description="of fx, fy, cx, cy, distortion")
-    rms_px: float | None = None
-    rejected_points: int | None = None
-    views: int | None = None
+    rms_px: float | None = Field(None, description="of the corners' residuals")
+    rejected_points: int | None = Field(None, description="corners left out as outliers")
+    views: int | None = Field(None, description="pictures used")
     board_warp_mm: Vector | None = None
 
 
@@ -71,8 +71,11 @@ class Intrinsics(Lens):
         description="whose solve of the camera's own pictures; a joint solve may have refined it"
     )
     joint: JointLens | None = None
-    covariance: Matrix | None = None
-    dispersion: float | None = None
+    covariance: Matrix | None = Field(None, description="of fx, fy, cx, cy, distortion; px and 1")
+    dispersion: float | None = Field(
+        None,
+        description="variance as views show it over that of corner noise alone; in covariance",
+    )
     selection: str | None = Field(None, description="why this solve was selected, in words")
     rejected_views: list[str] | None = None
     alternatives: dict[str, dict[str, Lens]] | None = Field(
@@ -101,13 +104,15 @@ class PairTarget(Part):
 class StereoPart(Part):
     """The pose of C2 in C1's frame, C2 held at one yaw."""
 
-    source: str
-    transform_12: Matrix
-    covariance: Matrix | None
-    baseline_mm: float
-    baseline_std_mm: float | None
-    rms_px: float | None
-    pairs: int
+    source: str = Field(description="how the pose was found")
+    transform_12: Matrix = Field(description="4 x 4, P1 = R P2 + t: takes a point of C2 to C1, mm")
+    covariance: Matrix | None = Field(
+        description="of rotation vector, rad, and translation, mm, of transform_12"
+    )
+    baseline_mm: float = Field(description="distance of the cameras' centres")
+    baseline_std_mm: float | None = Field(description="its standard uncertainty")
+    rms_px: float | None = Field(description="of the pairs' residuals")
+    pairs: int = Field(description="how many were used")
     alternatives: list[StereoSolve]
     targets: list[PairTarget]
 
@@ -116,7 +121,7 @@ class Estimate(Part):
     """A value with its standard uncertainty."""
 
     value: float
-    std: float
+    std: float = Field(description="standard uncertainty")
 
 
 class Measured(Part):
@@ -149,11 +154,11 @@ class Parameter(Estimate):
     identified_by: IdentifiedBy | None = None
     std_over_data_only_std: float | None = Field(None, description="robust fits")
     q2_5: float | None = Field(None, alias="q2.5", description="posteriors, as all below")
-    q50: float | None = None
+    q50: float | None = Field(None, description="median")
     q97_5: float | None = Field(None, alias="q97.5")
-    ess: float | None = None
-    ess_tail: float | None = None
-    rhat: float | None = None
+    ess: float | None = Field(None, description="effective draws in the bulk")
+    ess_tail: float | None = Field(None, description="effective draws in the tails")
+    rhat: float | None = Field(None, description="R-hat across ensembles")
 
 
 class Derived(Estimate):
@@ -171,14 +176,18 @@ class Fit(Part):
     covariance: Matrix
     derived: dict[str, Derived] | None = Field(None, description="effective_baseline_mm: L_b + e")
     residual_mrad: Vector | None = Field(None, description="angle of each row to its gaze plane")
-    sigma_mrad: float | None = None
-    outliers: list[str] | None = None
+    sigma_mrad: float | None = Field(
+        None, description="standard deviation of the residuals of rows that are no outliers"
+    )
+    outliers: list[str] | None = Field(
+        None, description="ids of rows that disagree with the others"
+    )
     diagnostics: dict[str, Any] | None = None
     converged: bool | None = Field(None, description="posteriors, as all below")
-    tau: dict[str, float] | None = None
-    draws: int | None = None
-    steps: int | None = None
-    acceptance: float | None = None
+    tau: dict[str, float] | None = Field(None, description="autocorrelation time, steps")
+    draws: int | None = Field(None, description="of the posterior that were kept")
+    steps: int | None = Field(None, description="of each ensemble, without burn-in")
+    acceptance: float | None = Field(None, description="share of proposals accepted")
     importance: dict[str, Any] | None = Field(
         None, description="the same moments by importance sampling, and whether they agree"
     )
@@ -191,14 +200,14 @@ class AdjustedCamera(Part):
     distortion: Vector
     image_size: list[int]
     std: Vector | None = Field(None, description="fx, fy, cx, cy, distortion")
-    covariance: Matrix | None = None
+    covariance: Matrix | None = Field(None, description="of fx, fy, cx, cy, distortion; px and 1")
 
 
 class AdjustedStereo(Part):
     """Pose of C2 in C1 at a reading, by the adjustment."""
 
     alpha2_deg: float
-    transform_12: Matrix
+    transform_12: Matrix = Field(description="4 x 4, P1 = R P2 + t: takes a point of C2 to C1, mm")
     covariance: Matrix = Field(description="of rotation vector and translation")
     baseline_mm: float = Field(description="distance of the cameras' centres")
     baseline_std_mm: float
@@ -233,16 +242,25 @@ class Score(Part):
 
     model: str
     loo: float = Field(description="expected log predictive density, leave one out, nats")
-    loo_se: float
-    aicc: float | None = None
-    bic: float
-    cv_depth_rms_rel: float | None = None
-    validation_depth_rms_rel: float | None = None
+    loo_se: float = Field(description="standard error of loo")
+    aicc: float | None = Field(
+        None, description="Akaike's criterion, corrected; absent with too few rows"
+    )
+    bic: float = Field(description="Schwarz's criterion")
+    cv_depth_rms_rel: float | None = Field(
+        None,
+        description="rms of relative depth errors, each group of rows predicted without it",
+    )
+    validation_depth_rms_rel: float | None = Field(
+        None, description="the same of the validation rows"
+    )
     weight: float = Field(description="stacking")
-    averaging_weight: float
-    pareto_k_max: float
-    refitted: list[str]
-    unreliable: list[str]
+    averaging_weight: float = Field(description="pseudo-BMA+")
+    pareto_k_max: float = Field(description="greatest k-hat of the rows")
+    refitted: list[str] = Field(
+        description="rows predicted by an exact refit, as their k-hat was too high"
+    )
+    unreliable: list[str] = Field(description="rows whose refit's own importance weights were poor")
 
 
 class Spread(Part):
@@ -289,10 +307,12 @@ class ModelPart(Part):
     """One model as it measures."""
 
     model: str
-    names: list[str]
-    values: Vector
+    names: list[str] = Field(description="order of values and covariance")
+    values: Vector = Field(description="of the parameters")
     covariance: Matrix
-    noise_factor: float
+    noise_factor: float = Field(
+        description="by how much the rows proved the stated uncertainties of a reading too small"
+    )
     factor95: float = Field(description="coverage factor of inverse depth")
 
 
@@ -308,7 +328,9 @@ class ByOneModel(ModelPart):
 
     stated: Stated
     reading: Reading
-    calibrated_depth_mm: tuple[float, float]
+    calibrated_depth_mm: tuple[float, float] = Field(
+        description="ends of the depths that the calibration covers"
+    )
     shared: Shared | None = None
     shared_by_rows: SharedByRows | None = None
 

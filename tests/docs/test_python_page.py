@@ -35,7 +35,7 @@ def test_code_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     tests = PROJECT / "tests" / "reliability"
     interpreter.write_text(PYTHON.format(python=sys.executable, folder=tests))
     interpreter.chmod(0o755)
-    shutil.copytree(PROJECT / "datasets" / "xu-wang-2017", tmp_path / "datasets" / "my-rig")
+    shutil.copytree(PROJECT / "datasets" / "xu-wang-2017", tmp_path / "my-rig")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "executable", str(interpreter))
     (making,) = (block for block in blocks if "calib.calibrate" in block)

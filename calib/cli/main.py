@@ -12,7 +12,7 @@ import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from types import ModuleType
-from typing import TYPE_CHECKING, NoReturn
+from typing import NoReturn, Protocol
 
 from calib.cli import (
     batch,
@@ -42,8 +42,12 @@ from calib.core.errors import CalibError
 from calib.core.parent import end_with_parent
 from calib.core.version import __version__
 
-if TYPE_CHECKING:
-    from _typeshed import SupportsWrite
+
+class _Writable(Protocol):
+    """What messages are written to."""
+
+    def write(self, text: str, /) -> object: ...
+
 
 DONE, DEFECT, REFUSED, GATE_FAILED = 0, 1, 2, 3
 INTERRUPTED = 128 + signal.SIGINT
@@ -119,7 +123,7 @@ def _overview() -> str:
 class _Parser(argparse.ArgumentParser):
     """Refuses in one line, as all the rest of the program does."""
 
-    def _print_message(self, message: str, file: SupportsWrite[str] | None = None) -> None:
+    def _print_message(self, message: str, file: _Writable | None = None) -> None:
         """Print help, which must not be lost unnoticed, or words about arguments, as given."""
         if file is not None and file is sys.stdout:
             file.write(message)

@@ -138,7 +138,7 @@ def test_measure_names_the_source(
     del document["measurement"]["shared_by_rows"], document["integrity"]
     older = tmp_path / "older.json"
     older.write_text(json.dumps(document))
-    new, old = (positions(p, table, capsys=capsys) for p in (path, older))
+    new, old = (positions(p, table, "--allow-edited", capsys=capsys) for p in (path, older))
     for one, other in zip(new, old, strict=True):
         assert float(one["u_z_mm"]) == pytest.approx(float(other["u_z_mm"]), rel=1e-4)
 

@@ -29,6 +29,7 @@ TOLD = {"base/identifiability", "axis-offset/identifiability"}
 GROUPS = {"groups"}
 AFTER = {
     "comparison", "diagnosis", "instrument", "average", "depths", "validation", "certified depths",
+    "independent references",
 }  # fmt: skip
 GAZE = OBSERVED | ROBUST | POSTERIOR | TOLD | GROUPS | AFTER
 ALL = GAZE | {"validation rows"}
@@ -131,7 +132,14 @@ INPUTS = {
         "validation.csv",
         "900",
         "901",
-        {"validation rows", "comparison", "average", "validation", "certified depths"},
+        {
+            "validation rows",
+            "comparison",
+            "average",
+            "validation",
+            "certified depths",
+            "independent references",
+        },
     ),
     "an uncertainty": ("dataset.toml", "u_x1c = 0.0002", "u_x1c = 0.0003", ALL),
     "an uncertainty of z": ("dataset.toml", "u_z_rel = 0.002", "u_z_rel = 0.003", GAZE),
@@ -161,7 +169,12 @@ def test_seed_changed(case: Case) -> None:
 
 
 def test_depths_changed(case: Case) -> None:
-    assert run(case.data, case.out, depths_mm=(300.0, 2000.0)) == {"average", "depths", "diagnosis"}
+    assert run(case.data, case.out, depths_mm=(300.0, 2000.0)) == {
+        "average",
+        "depths",
+        "diagnosis",
+        "independent references",
+    }
 
 
 CODE = {

@@ -328,7 +328,7 @@ def test_a_failed_check_is_said_first() -> None:
 
 def test_a_dataset_without_gaze_rows_has_its_report() -> None:
     calibration, context = everything()
-    bare = replace(calibration, gaze=None)
+    bare = replace(calibration, gaze=None, not_adjusted=None)
     page = html.document_fromstring(render_report(bare, replace(context, reference=None)))
     shown = [section.get("id") for section in page.xpath("//main/section")]
     assert shown == [

@@ -13,6 +13,7 @@ from typing import Final
 
 import cv2
 import numpy as np
+from scipy.spatial import cKDTree
 
 from calib.core.arrays import BoolArray, FloatArray
 from calib.gaze.edges import Line, crossing, fit_line, ideal, real
@@ -263,8 +264,8 @@ def _clockwise(outline: FloatArray) -> FloatArray:
 def _vertices(outline: FloatArray) -> list[int]:
     """Return the places, increasing, where an outline bends."""
     polygon = cv2.approxPolyDP(outline.astype(np.float32)[:, None], STRAIGHT_PX, closed=True)[:, 0]
-    away = np.abs(outline[None] - polygon[:, None]).sum(axis=2)
-    return sorted(set(away.argmin(axis=1).tolist()))
+    _, nearest = cKDTree(outline).query(polygon)
+    return [int(i) for i in np.unique(nearest)]
 
 
 def _on_rim(outline: FloatArray, shape: tuple[int, ...]) -> BoolArray:

@@ -170,7 +170,7 @@ def test_jacobian_agrees_with_differences() -> None:
 
 @pytest.mark.parametrize("readings", [WIDE, NARROW], ids=["wide", "narrow"])
 def test_stated_uncertainties_hold_over_rigs(readings: FloatArray) -> None:
-    runs = 30
+    runs = 20
     pulls = []
     for seed in range(runs):
         rng = np.random.default_rng(100 + seed)
@@ -201,9 +201,9 @@ def test_stated_uncertainties_hold_over_rigs(readings: FloatArray) -> None:
         failed = {g.name for g in result.gates if not g.passed}
         # A narrow sweep is honest about its uncertainty and is refused all the same.
         assert failed == set() if readings is WIDE else "sweep-span" in failed
-    # The rms of 30 normal numbers: standard deviation 0.13.
+    # The rms of 20 normal numbers: standard deviation 0.16.
     rms = np.sqrt(np.mean(np.square(pulls), axis=0))
-    assert np.all((rms > 0.7) & (rms < 1.4)), rms
+    assert np.all((rms > 0.6) & (rms < 1.5)), rms
 
 
 @pytest.mark.parametrize("stated_rad", [1e-3, 3e-4, 6e-5])

@@ -9,6 +9,7 @@ import pytest
 from calib.core.errors import UsageError
 from calib.geometry.board import Board
 from calib.geometry.plane import gaze_at
+from calib.simulate import scene
 from calib.simulate.rig import Rig, c2_pose, draw_rig
 from calib.simulate.scene import (
     IntrinsicViews,
@@ -126,7 +127,8 @@ def test_sweep_is_as_narrow_as_asked() -> None:
     assert draw_sweep(rig, board, np.random.default_rng(1), SweepPlan(placements=0)) == ()
 
 
-def test_board_too_large_is_refused() -> None:
+def test_board_too_large_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(scene, "_TRIES", 400)
     rig, _ = rig_of(2)
     near, far = rig.depth_range_mm
     large = Board("chessboard", 9, 7, near, (4, 3))

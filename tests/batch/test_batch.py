@@ -147,9 +147,11 @@ def test_a_run_that_crashes_is_told_as_such(
 def test_a_folder_in_use_is_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A batch on a cluster was killed: its workers are still at what they were given."""
     out, runs = tmp_path / "out", tmp_path / "runs"
-    program = tmp_path / "python"
-    program.write_text(
-        f"#!{sys.executable}\nfrom pathlib import Path\n"
+    program, code = tmp_path / "python", tmp_path / "code.py"
+    # A path with a space is no interpreter of a script's first line.
+    program.write_text(f"#!/bin/sh\nexec '{sys.executable}' '{code}'\n")
+    code.write_text(
+        "from pathlib import Path\n"
         "from calib.core.errors import UsageError\nfrom calib.stages.store import Store\n"
         f"with Path({str(runs)!r}).open('a') as file:\n    file.write('x')\n"
         f"try:\n    with Store(Path({str(out)!r})).locked():\n        pass\n"
@@ -162,7 +164,7 @@ def test_a_folder_in_use_is_waited_for(tmp_path: Path, monkeypatch: pytest.Monke
         with Store(out).locked():
             assert is_in_use(out)
             waiting = pool.submit(calibrate_one, Task(str(PAPER), str(out)))
-            while not runs.exists():
+            while not (runs.exists() or waiting.done()):
                 time.sleep(0.02)
             time.sleep(2.0)
             assert not waiting.done()

@@ -295,12 +295,12 @@ def test_a_batch_and_a_plan_tell_of_a_run_that_is_not_whole(
     run: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     done = Outcome(Task("d", str(run)), "passed")
-    assert line_of(done, run.parent).ending == "passed"
+    assert line_of(done, run.parent).result == "passed"
     note_broken(run)
     assert capsys.readouterr().err == ""
     edit(run)
     line = line_of(done, run.parent)
-    assert (line.ending, line.figures) == ("refused", {})
+    assert (line.result, line.figures) == ("refused", {})
     assert "is not what the run wrote" in line.remarks[0]
     note_broken(run)
     assert "is not what the run wrote" in capsys.readouterr().err

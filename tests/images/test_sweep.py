@@ -168,7 +168,13 @@ def test_jacobian_agrees_with_differences() -> None:
     assert residuals(x)[-len(observed) :] == pytest.approx(observed, abs=1e-9)
 
 
-@pytest.mark.parametrize("readings", [WIDE, NARROW], ids=["wide", "narrow"])
+@pytest.mark.parametrize(
+    "readings",
+    [
+        pytest.param(WIDE, id="wide"),
+        pytest.param(NARROW, id="narrow", marks=pytest.mark.slow),
+    ],
+)
 def test_stated_uncertainties_hold_over_rigs(readings: FloatArray) -> None:
     runs = 20
     pulls = []

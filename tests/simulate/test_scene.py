@@ -129,6 +129,7 @@ def test_sweep_is_as_narrow_as_asked() -> None:
 
 def test_board_too_large_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(scene, "_TRIES", 400)
+    monkeypatch.setattr(scene, "_TRIES_PER_POSE", 10)
     rig, _ = rig_of(2)
     near, far = rig.depth_range_mm
     large = Board("chessboard", 9, 7, near, (4, 3))

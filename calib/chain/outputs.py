@@ -24,8 +24,9 @@ from calib.report.context import report_context
 from calib.report.page import render_report
 from calib.results.calibration import Calibration, to_json
 from calib.results.hdf5_file import archive
-from calib.stages.manifest import SOMETIMES, begin_outputs, end_outputs
+from calib.stages.manifest import begin_outputs, end_outputs
 from calib.stages.provenance import Provenance, provenance
+from calib.stages.run_folder import SOMETIMES
 from calib.stages.store import Store, write_bytes
 
 

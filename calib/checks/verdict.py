@@ -230,7 +230,12 @@ def _depth(calibrated: CalibratedInstrument, depths: DepthTable) -> Gate:
     relative = float(depths.prediction.u_mm[middle] / depths.depth_mm[middle])
     passed = relative <= DEPTH_LIMIT_REL
     detail = f"a depth of {depths.depth_mm[middle]:.0f} mm is measured to {100 * relative:.2g} %"
-    if not passed:
+    if not passed and depths.extrapolated[middle]:
+        detail += (
+            f" (limit {100 * DEPTH_LIMIT_REL:.0f} %), and lies outside the calibrated {low:.0f} to "
+            f"{high:.0f} mm: ask for a table (--depths) of these, or leave its range to the rows"
+        )
+    elif not passed:
         detail += (
             f" (limit {100 * DEPTH_LIMIT_REL:.0f} %): add targets at other depths and yaw angles, "
             "or look for what makes a reading so uncertain (table of sources in the report)"

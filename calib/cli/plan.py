@@ -107,7 +107,8 @@ def run(arguments: argparse.Namespace) -> int:
 
 def note_broken(out: Path) -> None:
     """Say on stderr if the outputs of a run are not whole; its stages have digests of their own."""
-    from calib.stages.manifest import MANIFEST, faults
+    from calib.stages.manifest import faults
+    from calib.stages.run_folder import MANIFEST
 
     if (out / MANIFEST).exists() and (found := faults(out)):
         print(

@@ -27,7 +27,8 @@ from calib.core.limited import read_limited
 from calib.core.seal import is_edited
 from calib.geometry.parameters import INDEX
 from calib.instrument.calibration_file import FILE_LIMIT_BYTES
-from calib.stages.manifest import AGAIN, MANIFEST, is_run, refuse_broken
+from calib.stages.manifest import AGAIN, is_run, refuse_broken
+from calib.stages.run_folder import MANIFEST
 
 RESULT, CERTIFICATE, RUN = "calibration.json", "certificate.xml", "run.toml"
 

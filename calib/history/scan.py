@@ -16,6 +16,7 @@ from typing import TypeAlias
 
 from calib.core.errors import InputError
 from calib.history.entry import FILES, RESULT, Entry, GatesFailedError, read_entry
+from calib.stages.run_folder import MANIFEST
 
 YOUNG_S = 2.5
 """File systems in use keep times to within 2 s."""
@@ -81,7 +82,13 @@ def scan(
     """
     found = {}
     for folder in calibrations_below(roots):
-        path, stamp = str(folder), _stamp(folder, now())
+        path = str(folder)
+        try:
+            path.encode()
+        except UnicodeEncodeError:  # the index states paths, as text
+            found[path] = Seen("", None, "is no name in UTF-8: rename it")
+            continue
+        stamp = _stamp(folder, now())
         before = known.get(path)
         found[path] = before if before and stamp and before.stamp == stamp else _read(folder, stamp)
     return found
@@ -96,9 +103,9 @@ def _read(folder: Path, stamp: Stamp) -> Seen:
 
 def _stamp(folder: Path, now: float) -> Stamp:
     parts = []
-    for name in FILES:
+    for file in _files(folder):
         try:
-            s = (folder / name).stat()
+            s = file.stat()
         except OSError:
             parts.append("-")
             continue
@@ -106,3 +113,10 @@ def _stamp(folder: Path, now: float) -> Stamp:
             return ""
         parts.append(f"{s.st_dev}.{s.st_ino}.{s.st_size}.{s.st_mtime_ns}.{s.st_ctime_ns}")
     return " ".join(parts)
+
+
+def _files(folder: Path) -> list[Path]:
+    """Return what decides whether a folder is taken: where a file is a link, its run's manifest."""
+    own = [folder / name for name in FILES]
+    elsewhere = {file.resolve().parent / MANIFEST for file in own if file.is_symlink()}
+    return own + sorted(elsewhere - set(own))

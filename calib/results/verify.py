@@ -9,7 +9,8 @@ from pathlib import Path
 
 from calib.core.errors import InputError, Problem
 from calib.core.seal import is_edited
-from calib.stages.manifest import AGAIN, MANIFEST, faults
+from calib.stages.manifest import AGAIN, faults
+from calib.stages.run_folder import MANIFEST
 
 CALIBRATION = "calibration.json"
 STATING = ("certificate.html", "certificate.xml")

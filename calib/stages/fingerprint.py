@@ -26,7 +26,9 @@ PACKAGE = "calib"
 _NAME_ENDS = re.compile(r"[^\w.-]")
 
 # Distributions that are not called as their module is.
-_DISTRIBUTIONS = {"cv2": "opencv-contrib-python-headless", "yaml": "PyYAML"}
+_DISTRIBUTIONS = {
+    "cv2": "opencv-contrib-python-headless", "PIL": "pillow", "yaml": "PyYAML",
+}  # fmt: skip
 
 
 def digest(*parts: object) -> str:

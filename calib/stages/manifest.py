@@ -16,27 +16,13 @@ from pathlib import Path
 from typing import Any
 
 from calib.core.errors import InputError, Problem, UsageError
-from calib.core.limited import read_limited
 from calib.core.mrcal_python import mrcal_identity
 from calib.stages.fingerprint import digest, whole_code
 from calib.stages.provenance import direct_packages
+from calib.stages.run_folder import ALWAYS, FORMER, MANIFEST, SOMETIMES, json_object
 from calib.stages.store import CACHE, write_bytes
 
-MANIFEST = "manifest.json"
-FORMER = Path(CACHE) / "outputs.json"
-"""Where versions before the manifest kept their digests: what they wrote is taken as it is."""
-
 FORMAT = 1
-LIMIT_BYTES = 1_000_000
-
-ALWAYS = ("calibration.json", "results.h5", "report.html", "run.toml")
-"""What every run writes."""
-
-SOMETIMES = (
-    "certificate.html", "certificate.pdf", "certificate.xml", "corners.vnl",
-    "c1.yaml", "c2.yaml", "c1.cameramodel", "c2.cameramodel",
-)  # fmt: skip
-"""What a run writes if its dataset allows."""
 
 AGAIN = "run calib calibrate again"
 
@@ -59,7 +45,7 @@ def begin_outputs(out: Path, names: Iterable[str]) -> None:
     UsageError
         If one of them is there and is no file of an earlier run, or another would pass for one.
     """
-    document = _document(out / MANIFEST)
+    document = json_object(out / MANIFEST)
     known, names = {str(name) for name in _files(document)}, tuple(names)
     for name in SOMETIMES:
         if (out / name).exists() and name not in known and name not in names:
@@ -93,13 +79,13 @@ def _write(out: Path, document: Mapping[str, Any]) -> None:
 
 def finished_before(out: Path, fingerprint: str) -> bool:
     """Return whether the folder holds all files of a run with this fingerprint, untouched."""
-    document = _document(out / MANIFEST)
+    document = json_object(out / MANIFEST)
     return document is not None and document.get("fingerprint") == fingerprint and not faults(out)
 
 
 def faults(out: Path) -> tuple[Problem, ...]:
     """Return what is wrong with the outputs in the folder of a run; nothing if they are whole."""
-    document = _document(out / MANIFEST)
+    document = json_object(out / MANIFEST)
     unfinished = _unfinished(out, document)
     if document is None or unfinished is not None:
         return () if unfinished is None else (unfinished,)
@@ -123,7 +109,7 @@ def _unfinished(out: Path, document: Mapping[str, Any] | None) -> Problem | None
     """Return what is wrong with a manifest itself."""
     if document is None:
         what = "is missing or damaged: the run that wrote this folder did not finish"
-        return Problem(str(out / MANIFEST), what, AGAIN)
+        return Problem(str(out / MANIFEST), what, f"{AGAIN}, with --force")
     if type(document.get("format")) is not int or document["format"] != FORMAT:
         what = f"format {document.get('format')!r} is not known"
         return Problem(str(out / MANIFEST), what, f"format {FORMAT} is; {AGAIN}")
@@ -160,7 +146,7 @@ def _refuse_broken(file: Path, content: bytes, *, edited: bool) -> None:
     folder = file.parent
     if not is_run(folder):
         return
-    document = _document(folder / MANIFEST)
+    document = json_object(folder / MANIFEST)
     if (unfinished := _unfinished(folder, document)) is not None:
         raise InputError((unfinished,))
     files = _files(document)
@@ -199,15 +185,6 @@ def _files(document: Mapping[str, Any] | None) -> dict[str, Any]:
     if not isinstance(files, dict):
         return {}
     return {name: value for name, value in files.items() if Path(name).name == name}
-
-
-def _document(path: Path) -> dict[str, Any] | None:
-    """Return a JSON object; None if there is none that can be read."""
-    try:
-        document = json.loads(read_limited(path, LIMIT_BYTES, regular=True).decode("utf-8"))
-    except (OSError, ValueError, RecursionError):
-        return None
-    return document if isinstance(document, dict) else None
 
 
 def _digest(path: Path) -> str:

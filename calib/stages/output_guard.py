@@ -14,6 +14,7 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 
 from calib.core.errors import UsageError
+from calib.stages.run_folder import wrote_run
 
 DATASET_MARK = "dataset.toml"
 """A folder that holds it is a dataset."""
@@ -36,6 +37,8 @@ class OutputKind:
         Of a folder: patterns of names that are written, each with the marks of such a file; one
         without marks goes by its name. A folder is its own if it holds one of them. The first
         pattern that fits a name counts.
+    own
+        Of a folder: decides in the stead of `files` whether it is its own.
     hidden
         Of a folder: names that do not make it that of somebody else.
     is_dataset
@@ -47,6 +50,7 @@ class OutputKind:
     is_folder: bool
     marks: tuple[bytes, ...] = ()
     files: tuple[tuple[str, tuple[bytes, ...]], ...] = ()
+    own: Callable[[Path], bool] | None = None
     hidden: tuple[str, ...] = ()
     is_dataset: bool = False
     is_new: bool = False
@@ -57,6 +61,8 @@ class OutputKind:
             return _is_marked(path, self.marks)
         if all(entry.name in self.hidden for entry in path.iterdir()):
             return True
+        if self.own is not None:
+            return self.own(path)
         found = ((at, marks) for pattern, marks in self.files for at in path.glob(pattern))
         return any(at.is_file() and _is_marked(at, marks, empty=False) for at, marks in found)
 
@@ -73,15 +79,7 @@ def _is_marked(path: Path, marks: Sequence[bytes], *, empty: bool = True) -> boo
     return (empty and not head) or not (marks or empty) or any(mark in head for mark in marks)
 
 
-RUN_FOLDER = OutputKind(
-    is_folder=True,
-    files=(
-        (".stages/dataset.json", (b'"from_here": ',)),
-        (".stages/outputs.json", ()),
-        ("manifest.json", (b'"complete": ',)),
-    ),
-    hidden=(".stages", ".lock"),
-)
+RUN_FOLDER = OutputKind(is_folder=True, own=wrote_run, hidden=(".stages", ".lock"))
 NEW_FOLDER = OutputKind(is_folder=True, is_new=True)
 
 

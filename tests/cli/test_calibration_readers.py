@@ -25,7 +25,8 @@ from calib.cli.main import parser
 from calib.cli.plan import note_broken
 from calib.core.errors import UsageError
 from calib.core.seal import with_digest
-from calib.stages.manifest import ALWAYS, begin_outputs, end_outputs
+from calib.stages.manifest import begin_outputs, end_outputs
+from calib.stages.run_folder import ALWAYS
 
 COMMANDS = list(commands(parser()))
 READERS = [

@@ -21,8 +21,9 @@ from calib.cli.arguments import PathRole, guard_outputs, roles
 from calib.cli.main import parser
 from calib.core.errors import UsageError
 from calib.core.owner import Owner
-from calib.stages.output_guard import files_of, guarded
+from calib.stages.output_guard import RUN_FOLDER, files_of, guarded
 from calib.stages.owner import claim
+from calib.stages.run_folder import ALWAYS, FORMER, MANIFEST, RECORD, SOMETIMES
 from calib.stages.store import Store
 from tests.history.test_index import TRUTH, written
 
@@ -112,7 +113,11 @@ def test_folder_spares_what_is_above_files_and_folders_of_others(
     asked(command, role, tmp_path / "new", data)
 
 
-MARKED = [one for one in FOLDERS if not one.values[1].writes.is_new]
+MARKED = [
+    one
+    for one in FOLDERS
+    if not (one.values[1].writes.is_new or one.values[1].writes is RUN_FOLDER)
+]
 
 
 @pytest.mark.parametrize(("command", "role"), MARKED)
@@ -148,6 +153,46 @@ def test_a_folder_is_known_by_what_its_files_say(
         (tmp_path / "target").write_text("mine\n")
         with pytest.raises(UsageError, match="another origin"):
             files_of(folder, [name], kind, option=role.option)
+
+
+RECORDS = {
+    "nothing": ({}, False),
+    "a run that has begun": ({RECORD: '{"from_here": "."}'}, False),
+    "a manifest cut short": (
+        {RECORD: '{"from_here": "."}', MANIFEST: '{"complete": true, "f'},
+        False,
+    ),
+    "somebody's manifest": ({MANIFEST: '{"name": "a package"}'}, False),
+    "a record without files": ({FORMER: "{}"}, False),
+    "a record of another file": ({FORMER: '{"files": {"x.html": ""}}'}, False),
+    "a record of the file": ({FORMER: '{"files": {"NAME": ""}}'}, True),
+    "a manifest": ({MANIFEST: '{"complete": false}'}, True),
+}
+
+
+@pytest.mark.parametrize("name", [*ALWAYS, *SOMETIMES])
+@pytest.mark.parametrize(("records", "is_own"), RECORDS.values(), ids=RECORDS.keys())
+def test_an_output_that_no_record_of_a_run_knows_is_spared(
+    records: dict[str, str], is_own: bool, name: str, tmp_path: Path
+) -> None:
+    run = tmp_path / "run"
+    (run / ".stages").mkdir(parents=True)
+    for file, text in records.items():
+        (run / file).write_text(text.replace("NAME", name))
+    (run / name).write_text("mine")
+    if is_own:
+        assert guarded(run, RUN_FOLDER, option="--out") == run
+    else:
+        with pytest.raises(UsageError, match="another origin"):
+            guarded(run, RUN_FOLDER, option="--out")
+    assert guarded(run, RUN_FOLDER, option="--out", force=True) == run
+
+
+def test_a_run_that_wrote_nothing_goes_on_beside_notes(tmp_path: Path) -> None:
+    (tmp_path / ".stages").mkdir()
+    claim(tmp_path, Owner(tmp_path / "d", "a" * 64))
+    (tmp_path / "notes.txt").write_text("mine")
+    assert guarded(tmp_path, RUN_FOLDER, option="--out") == tmp_path
 
 
 def test_only_what_is_made_anew_has_no_force() -> None:

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import pytest
 from dataset_examples import PNG, assert_problem, png, problems_of, replaced
+from PIL import ImageFile
 from test_load_dataset import image_dataset
 
 from calib.chain.images import image_stages
@@ -50,6 +51,45 @@ def test_headers(ending: str, image: np.ndarray, options: list[int], bits: int) 
     for share in (0.5, 0.75, 0.99):
         cut = picture_header(io.BytesIO(data[: int(share * len(data))]))
         assert header_fault(cut) is not None, share
+
+
+SCENE = cv2.GaussianBlur(
+    np.kron(np.eye(4, dtype=np.uint8) * 200, np.ones((40, 60), np.uint8)), (0, 0), 2
+)
+JPEGS = {
+    "plain": (SCENE, []),
+    "noise": (NOISE, []),
+    "one grey value": (np.full_like(SCENE, 90), []),
+    "colour": (cv2.cvtColor(SCENE, cv2.COLOR_GRAY2BGR), []),
+    "progressive": (SCENE, [cv2.IMWRITE_JPEG_PROGRESSIVE, 1]),
+    "restart marks": (SCENE, [cv2.IMWRITE_JPEG_RST_INTERVAL, 8]),
+}
+
+
+@pytest.mark.parametrize("lenient", [False, True])
+@pytest.mark.parametrize(("image", "options"), JPEGS.values(), ids=JPEGS.keys())
+def test_a_jpeg_cut_short_but_for_its_end_mark_is_named(
+    image: np.ndarray,
+    options: list[int],
+    lenient: bool,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Independent tool: OpenCV wrote it, and decodes what is left of it.
+
+    Pillow may have been told, as WeasyPrint does, to take what is cut.
+    """
+    monkeypatch.setattr("PIL.ImageFile.LOAD_TRUNCATED_IMAGES", lenient)
+    data, file = cv2.imencode(".jpg", image, options)[1].tobytes(), tmp_path / "g.jpg"
+    for whole in (data, data + bytes(300), data + b"more"):
+        file.write_bytes(whole)
+        assert np.array_equal(read_grey(file, name="g"), cv2.imread(str(file), 0))
+    scan = data.index(b"\xff\xda") + 14
+    for share in (0.1, 0.5, 0.9):
+        file.write_bytes(data[: scan + int(share * (len(data) - scan))] + b"\xff\xd9")
+        with pytest.raises(InputError, match="g: the file is truncated"):
+            read_grey(file, name="g")
+    assert ImageFile.LOAD_TRUNCATED_IMAGES is lenient
 
 
 @pytest.mark.parametrize("length", [0, 1, 3, 4, 9, 17, 25, 40, 200])

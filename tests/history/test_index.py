@@ -27,6 +27,8 @@ from calib.history.page import page_name
 from calib.history.quantities import series
 from calib.history.scan import scan
 from calib.history.summary import due, notes, show, since
+from calib.stages.manifest import begin_outputs, end_outputs
+from calib.stages.run_folder import ALWAYS
 
 NAMES = ["baseline_mm", "delta2_rad", "axis_z_mm", "eccentricity_mm"]
 TRUTH = np.array([120.0, 0.01, -20.0, 3.0])
@@ -161,6 +163,37 @@ def test_files_as_they_were_are_not_read_again(
     assert update(index, [top]).changed == (str(result.parent),)
     assert sorted(set(read)) == ["000-01", "001-01"]
     assert rigs(index)[1] == ("R001", 3, "2030-01-01")
+
+
+def test_a_link_is_of_the_run_that_its_target_lies_in(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("calib.history.scan.YOUNG_S", -3600.0)
+    top, index = fleet(tmp_path / "runs", of=1, each=1), tmp_path / "i.sqlite"
+    run = top / "000-00"
+    begin_outputs(run, ALWAYS)
+    for name in ("results.h5", "report.html"):
+        (run / name).write_text("")
+    end_outputs(run, "", ALWAYS)
+    view = tmp_path / "views" / "mine"
+    view.mkdir(parents=True)
+    for name in ("calibration.json", "run.toml"):
+        (view / name).symlink_to(run / name)
+    assert update(index, [view.parent]).calibrations == 1
+    assert update(index, [view.parent]).unreadable == ()
+    begin_outputs(run, ALWAYS)
+    ((path, fault),) = update(index, [view.parent]).unreadable
+    assert path == str(view)
+    assert "did not finish" in fault
+
+
+def test_a_folder_whose_name_is_no_text_is_told_and_the_others_are_taken(tmp_path: Path) -> None:
+    top = fleet(tmp_path / "runs", of=1, each=2)
+    (top / "000-01").rename(top / os.fsdecode(b"caf\xe9"))
+    found = update(tmp_path / "i.sqlite", [top])
+    assert found.added == (str(top / "000-00"),)
+    ((_, fault),) = found.unreadable
+    assert "UTF-8" in fault
 
 
 def test_calibrations_elsewhere_are_kept(tmp_path: Path) -> None:

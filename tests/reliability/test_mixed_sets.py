@@ -27,7 +27,8 @@ from calib.cli.main import main
 from calib.core.errors import CalibError
 from calib.history.read import read_run
 from calib.instrument.calibration_file import read_calibration
-from calib.stages.manifest import MANIFEST, faults
+from calib.stages.manifest import faults
+from calib.stages.run_folder import MANIFEST
 
 TRIALS = 30
 OUTPUTS = {

@@ -54,6 +54,22 @@ def test_what_is_left_to_the_prior_is_said_once() -> None:
     assert len(warned(twice)) == 1
 
 
+@pytest.mark.parametrize("outside", [False, True])
+def test_a_table_far_from_the_calibrated_depths_blames_its_range(outside: bool) -> None:
+    found = gaze()
+    assert found.depths is not None
+    u_mm = 10 * found.depths.depth_mm
+    depths = replace(
+        found.depths,
+        prediction=replace(found.depths.prediction, u_mm=u_mm),
+        extrapolated=np.full(len(u_mm), outside),
+    )
+    (failed,) = [g for g in gaze_gates(replace(found, depths=depths)) if not g.passed]
+    assert failed.name == "depth"
+    assert ("--depths" in failed.detail) is outside
+    assert ("add targets" in failed.detail) is not outside
+
+
 def test_a_reading_that_tells_nothing_of_depth_fails() -> None:
     """However well the parameters are known."""
     found = gaze()

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from calib.core.arrays import FloatArray
 from calib.core.errors import InputError
 from calib.dataset.picture_header import LARGEST_BYTES, header_fault, picture_header
+from calib.images.detection.cut_jpeg import is_cut
 
 Grey = NDArray[np.uint8]
 
@@ -52,7 +53,7 @@ def read_grey(path: Path, *, name: str, sha256: str = "") -> Grey:
             remedy="let nothing write to the dataset during a run, and run again",
         )
     try:
-        image = _decode(data)
+        image = None if is_cut(data) else _decode(data)
         if image is not None:
             eight = image.itemsize == 1
             return image.astype(np.uint8) if eight else _to_8_bit(image.astype(np.float64))

@@ -22,7 +22,7 @@ from calib.geometry.parameters import INDEX, PARAMETERS
 from calib.images.result import ImageResult
 from calib.instrument.adjusted import ROWS
 from calib.instrument.averaging import doubt_of
-from calib.instrument.calibrated import CalibratedInstrument, DepthTable, normalised_error
+from calib.instrument.calibrated import DepthTable, normalised_error
 from calib.results.calibration import GazeResult
 
 NOISE_SCALE_LIMIT = 5.0
@@ -128,7 +128,7 @@ def gaze_gates(gaze: GazeResult) -> tuple[Gate, ...]:
         # Of the other models it is no fault to be undetermined: they were not selected.
         gates.append(gaze.identifiability[selected].gate)
     if gaze.calibrated is not None and gaze.depths is not None:
-        gates.append(_depth(gaze.calibrated, gaze.depths))
+        gates.append(_depth(gaze.depths))
     if gaze.diagnosis is not None:
         gates.append(diagnosis_gate(gaze.diagnosis))
     return tuple(gates)
@@ -223,19 +223,12 @@ def _outliers(gaze: GazeResult, model: str) -> Gate:
     return Gate("outliers", passed=passed, detail=detail)
 
 
-def _depth(calibrated: CalibratedInstrument, depths: DepthTable) -> Gate:
+def _depth(depths: DepthTable) -> Gate:
     """Gate on a measured depth: parameters, shared errors and the reading's own together."""
-    low, high = calibrated.calibrated_mm
-    middle = int(np.argmin(np.abs(depths.depth_mm - (low + high) / 2)))
-    relative = float(depths.prediction.u_mm[middle] / depths.depth_mm[middle])
+    relative = depths.middle_u_mm / depths.middle_mm
     passed = relative <= DEPTH_LIMIT_REL
-    detail = f"a depth of {depths.depth_mm[middle]:.0f} mm is measured to {100 * relative:.2g} %"
-    if not passed and depths.extrapolated[middle]:
-        detail += (
-            f" (limit {100 * DEPTH_LIMIT_REL:.0f} %), and lies outside the calibrated {low:.0f} to "
-            f"{high:.0f} mm: ask for a table (--depths) of these, or leave its range to the rows"
-        )
-    elif not passed:
+    detail = f"a depth of {depths.middle_mm:.0f} mm is measured to {100 * relative:.2g} %"
+    if not passed:
         detail += (
             f" (limit {100 * DEPTH_LIMIT_REL:.0f} %): add targets at other depths and yaw angles, "
             "or look for what makes a reading so uncertain (table of sources in the report)"

@@ -39,6 +39,9 @@ from calib.uncertainty.predictive import (
 GRID_POINTS = 21
 """Depths of the uncertainty table."""
 
+LEAST_INSIDE = 2
+"""Depths of a table that must be calibrated ones, or these have a table of their own."""
+
 EVALUATION = {"data": "A", "prior": "B", "both": "A, B"}
 """Of a standard uncertainty (JCGM 100, 2.3.2), by what decided the parameter."""
 
@@ -179,6 +182,8 @@ class DepthTable:
         is skewed: `calib measure` makes its intervals with it.
     sources_mm
         What each source contributes to the linear standard uncertainty, by name, shape (n,) each.
+    middle_mm, middle_u_mm
+        A depth near the middle of the calibrated ones, and its standard uncertainty.
     """
 
     depth_mm: FloatArray
@@ -186,6 +191,8 @@ class DepthTable:
     extrapolated: BoolArray
     factor95: float
     sources_mm: Mapping[str, FloatArray]
+    middle_mm: float
+    middle_u_mm: float
 
 
 def tabulate_depths(
@@ -196,16 +203,40 @@ def tabulate_depths(
     seed: SeedSequence,
     points: int = GRID_POINTS,
 ) -> DepthTable:
-    """Return the depth uncertainty from `low_mm` to `high_mm`."""
+    """Return the depth uncertainty from `low_mm` to `high_mm`.
+
+    What holds for the calibrated depths does not depend on the range asked for.
+    """
     z = np.linspace(low_mm, high_mm, points)
-    targets = np.stack([np.zeros_like(z), np.zeros_like(z), z], axis=1)
-    gaze = gaze_at(calibrated.instrument.theta, targets)
+    gaze = _on_axis(calibrated, z)
     instrument, loadings = calibrated.instrument, calibrated.loadings(gaze)
     prediction = predict_depths(instrument, gaze, np.random.default_rng(seed), loadings=loadings)
     sources = depth_sources(instrument, linear_positions(instrument, gaze, loadings))
     low, high = calibrated.calibrated_mm
     outside = (z < low) | (z > high)
-    return DepthTable(z, prediction, outside, _factor95(prediction, ~outside), sources)
+    depth, judged, inside = z, prediction, ~outside
+    if low_mm > low or high_mm < high or inside.sum() < LEAST_INSIDE:
+        depth = np.linspace(low, high, points)
+        inside = np.ones(points, dtype=np.bool_)
+        own = _on_axis(calibrated, depth)
+        rng = np.random.default_rng(seed)
+        judged = predict_depths(instrument, own, rng, loadings=calibrated.loadings(own))
+    middle = int(np.argmin(np.abs(depth - (low + high) / 2)))
+    return DepthTable(
+        depth_mm=z,
+        prediction=prediction,
+        extrapolated=outside,
+        factor95=_factor95(judged, inside),
+        sources_mm=sources,
+        middle_mm=float(depth[middle]),
+        middle_u_mm=float(judged.u_mm[middle]),
+    )
+
+
+def _on_axis(calibrated: CalibratedInstrument, z_mm: FloatArray) -> Gaze:
+    """Return the readings of targets on C1's optical axis."""
+    targets = np.stack([np.zeros_like(z_mm), np.zeros_like(z_mm), z_mm], axis=1)
+    return gaze_at(calibrated.instrument.theta, targets)
 
 
 def _factor95(p: DepthPrediction, inside: BoolArray) -> float:

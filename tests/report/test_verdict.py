@@ -54,28 +54,12 @@ def test_what_is_left_to_the_prior_is_said_once() -> None:
     assert len(warned(twice)) == 1
 
 
-@pytest.mark.parametrize("outside", [False, True])
-def test_a_table_far_from_the_calibrated_depths_blames_its_range(outside: bool) -> None:
-    found = gaze()
-    assert found.depths is not None
-    u_mm = 10 * found.depths.depth_mm
-    depths = replace(
-        found.depths,
-        prediction=replace(found.depths.prediction, u_mm=u_mm),
-        extrapolated=np.full(len(u_mm), outside),
-    )
-    (failed,) = [g for g in gaze_gates(replace(found, depths=depths)) if not g.passed]
-    assert failed.name == "depth"
-    assert ("--depths" in failed.detail) is outside
-    assert ("add targets" in failed.detail) is not outside
-
-
 def test_a_reading_that_tells_nothing_of_depth_fails() -> None:
     """However well the parameters are known."""
     found = gaze()
     assert found.depths is not None
-    wide = replace(found.depths.prediction, u_mm=0.3 * found.depths.depth_mm)
-    blurred = replace(found, depths=replace(found.depths, prediction=wide))
+    wide = replace(found.depths, middle_u_mm=0.3 * found.depths.middle_mm)
+    blurred = replace(found, depths=wide)
     (failed,) = (gate for gate in gaze_gates(blurred) if not gate.passed)
     assert failed.name == "depth"
     assert "30 %" in failed.detail

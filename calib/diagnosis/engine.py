@@ -146,11 +146,6 @@ class Diagnosis:
         found = [c for c in self.causes if not c.is_carried and c.effect > MATTERS]
         return found[0] if found else None
 
-    @property
-    def by_rows(self) -> tuple[Cause, ...]:
-        """The causes that calibration rows show."""
-        return tuple(cause for cause in self.causes if cause.seen_in == "rows")
-
     def others(self, cause: Cause) -> tuple[str, ...]:
         """Return the names of causes that explain the same data about as well as one of them."""
         same = [other for other in self.causes if other.seen_in == cause.seen_in]

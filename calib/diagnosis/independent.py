@@ -127,7 +127,7 @@ def differences(
     lengths: LengthTable | None,
 ) -> Differences:
     """Return depths and lengths by the instrument less their references."""
-    parts = []
+    parts: list[Differences] = []
     if validation is not None:
         own = np.flatnonzero(validation.depth_of == np.arange(len(validation.rows)))
         own = own[np.isfinite(validation.depth_from_c1(fit.theta)[own])]
@@ -136,9 +136,7 @@ def differences(
         parts.append(_of_depths(calibrated, fit, validation, own))
     if lengths is not None:
         parts.append(_of_lengths(fit, rows, validation, lengths))
-    if not parts:
-        return _nothing(fit)
-    return _joined(parts)
+    return _joined([part for part in parts if len(part)])
 
 
 def _of_depths(
@@ -176,7 +174,11 @@ def _of_lengths(
     for number, (table, source) in enumerate(tables):
         points.append(_points(table, fit, source))
         place |= {name: (number, i) for i, name in enumerate(table.ids)}
-    known = np.flatnonzero(np.isfinite(lengths.length_mm))
+    known = [
+        k
+        for k in np.flatnonzero(np.isfinite(lengths.length_mm))
+        if lengths.start[k] in place and lengths.end[k] in place
+    ]
     errors, common, own, scale, zero, ids = [], [], [], [], [], []
     for k in known:
         (at, i), (bt, j) = place[lengths.start[k]], place[lengths.end[k]]
@@ -195,7 +197,7 @@ def _of_lengths(
         zero.append(by_a * a.by_zero[i] + by_b * b.by_zero[j])
         ids.append(lengths.ids[k])
     if not errors:
-        return _nothing(fit)
+        return _NOTHING
     by_zero = np.array(zero)
     return Differences(
         tuple(ids), np.array(errors), np.array(common), np.array(own), np.array(scale), by_zero,
@@ -203,12 +205,14 @@ def _of_lengths(
     )  # fmt: skip
 
 
-def _nothing(fit: RobustFit) -> Differences:
-    none, common = np.zeros(0), np.zeros((0, len(fit.names) + fit.by_shared.shape[1]))
-    return Differences((), none, common, np.zeros((0, 1)), none, none, none, none)
+_NOTHING = Differences(
+    (), np.zeros(0), np.zeros((0, 0)), np.zeros((0, 0)), *(np.zeros(0) for _ in range(4))
+)
 
 
 def _joined(parts: list[Differences]) -> Differences:
+    if not parts:
+        return _NOTHING
     width = max(part.own.shape[1] for part in parts)
     return Differences(
         ids=tuple(name for part in parts for name in part.ids),

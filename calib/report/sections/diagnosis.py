@@ -26,8 +26,9 @@ def diagnosis(c: Calibration, _: ReportContext) -> Section | None:
             picture(
                 "cause",
                 draw_cause(found.causes[0]),
-                f"Residuals of the rows, by {found.model} alone and with {found.causes[0].name} as "
-                "a further parameter. With the right cause they scatter about zero without order.",
+                f"Residuals of {_looked_at(found.causes[0])}, by {found.model} alone and with "
+                f"{found.causes[0].name} as a further parameter. With the right cause "
+                "they scatter about zero without order.",
             )
         )
     if found.tried:
@@ -50,12 +51,16 @@ def _finding(found: Diagnosis) -> str:
     first = found.causes[0]
     before, after = first.noise_scale
     text = (
-        f"Of {count} mistakes that are often made {first.name} explains the rows best: residuals "
-        f"are {before:.2g} times what is stated without it, {after:.2g} times with it."
+        f"Of {count} mistakes that are often made {first.name} explains {_looked_at(first)} best: "
+        f"residuals are {before:.2g} times what is stated without it, {after:.2g} times with it."
     )
     if len(found.causes) > 1:
         text += " Others explain them about as well; a measurement that distinguishes is named."
     return text
+
+
+def _looked_at(cause: Cause) -> str:
+    return "the rows" if cause.seen_in == "rows" else "independent depths and lengths"
 
 
 def _named(found: Diagnosis, cause: Cause) -> list[Block]:

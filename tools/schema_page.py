@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from calib.results.schema import Document
+from calib.document.calibration import Document
 
 PAGE = Path(__file__).parents[1] / "docs" / "calibration-json.md"
 

@@ -33,7 +33,7 @@ def _schema(file: str) -> dict[str, Any]:
 
         schema = rig_schema()
     else:
-        from calib.results.schema import Document
+        from calib.document.calibration import Document
 
         schema = Document.model_json_schema()
     return {"$schema": "https://json-schema.org/draft/2020-12/schema"} | schema

@@ -16,7 +16,7 @@ import pytest
 from command import call
 
 from calib.cli.main import main
-from calib.results.schema import Document
+from calib.document.calibration import Document
 from tests.reliability.short_chain import dataset, shorten
 
 PROJECT = Path(__file__).parents[2]

@@ -20,12 +20,12 @@ from calib.cli.main import main
 from calib.dataset.load import load_dataset
 from calib.diagnosis.correction import correct_rows
 from calib.diagnosis.session import row_history
+from calib.document.calibration import Document
 from calib.fit.noise import row_noise
 from calib.fit.priors import prior_of
 from calib.fit.robust import fit_model
 from calib.geometry.misclosure import misclosure
 from calib.geometry.plane import OBSERVABLE
-from calib.results.schema import Document
 from calib.simulate.contents import SimulationOptions
 from calib.simulate.dataset import simulate_dataset
 from tests.chain.left_rigs import mirror_dataset

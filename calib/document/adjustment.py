@@ -1,0 +1,54 @@
+"""calibration.json: all pictures in one least squares."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import Field
+
+from calib.document.findings import GatePart
+from calib.document.part import Matrix, Part, Vector
+
+
+class AdjustedCamera(Part):
+    """A camera by the adjustment; without uncertainty if it was given."""
+
+    matrix: Matrix
+    distortion: Vector
+    image_size: list[int]
+    std: Vector | None = Field(None, description="fx, fy, cx, cy, distortion")
+    covariance: Matrix | None = Field(None, description="of fx, fy, cx, cy, distortion; px and 1")
+
+
+class AdjustedStereo(Part):
+    """Pose of C2 in C1 at a reading, by the adjustment."""
+
+    alpha2_deg: float
+    transform_12: Matrix = Field(description="4 x 4, P1 = R P2 + t: takes a point of C2 to C1, mm")
+    covariance: Matrix = Field(description="of rotation vector and translation")
+    baseline_mm: float = Field(description="distance of the cameras' centres")
+    baseline_std_mm: float
+
+
+class AdjustedReadings(Part):
+    """Errors of the encoder's readings."""
+
+    count: int
+    stated_std_rad: float
+    std_rad: float = Field(description="as the pictures show it")
+
+
+class AdjustmentPart(Part):
+    """All pictures in one least squares: lenses, board, rig, encoder and readings."""
+
+    model: str = Field(description="of record; `complete` has every parameter free")
+    passed: bool
+    intrinsics: dict[Literal["c1", "c2"], AdjustedCamera]
+    stereo: AdjustedStereo
+    pictures: dict[str, int] = Field(description="how many, by camera and purpose")
+    left_out: list[str] = Field(description="pictures that contradict the others")
+    rejected_points: int
+    rms_px: float
+    sigma_px: dict[str, float] = Field(description="of a corner, by camera and purpose")
+    readings: AdjustedReadings
+    gates: list[GatePart]

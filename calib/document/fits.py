@@ -1,0 +1,94 @@
+"""calibration.json: estimates of the parameters, and the comparison of models."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+
+from calib.document.part import Matrix, Part, Vector
+from calib.geometry.parameters import PARAMETERS
+
+
+class Estimate(Part):
+    """A value with its standard uncertainty."""
+
+    value: float
+    std: float = Field(description="standard uncertainty")
+
+
+IdentifiedBy = Literal["data", "prior", "both"]
+
+
+class Parameter(Estimate):
+    """An estimated parameter."""
+
+    identified_by: IdentifiedBy | None = None
+    std_over_data_only_std: float | None = Field(None, description="robust fits")
+    q2_5: float | None = Field(None, alias="q2.5", description="posteriors, as all below")
+    q50: float | None = Field(None, description="median")
+    q97_5: float | None = Field(None, alias="q97.5")
+    ess: float | None = Field(None, description="effective draws in the bulk")
+    ess_tail: float | None = Field(None, description="effective draws in the tails")
+    rhat: float | None = Field(None, description="R-hat across ensembles")
+
+
+class Derived(Estimate):
+    """A quantity that follows from the parameters of a fit."""
+
+    q2_5: float | None = Field(None, alias="q2.5", description="posteriors, as q97.5")
+    q97_5: float | None = Field(None, alias="q97.5")
+
+
+_UNITS = ", ".join(f"{p.name} ({p.meaning})" for p in PARAMETERS)
+
+
+class Fit(Part):
+    """A fit; NAME/linear, NAME/convex, NAME/robust, NAME/posterior or NAME/adjustment."""
+
+    parameters: Annotated[dict[str, Parameter], Field(description=_UNITS)]
+    names: list[str] = Field(description="order of the covariance")
+    covariance: Matrix
+    derived: dict[str, Derived] | None = Field(None, description="effective_baseline_mm: L_b + e")
+    residual_mrad: Vector | None = Field(None, description="angle of each row to its gaze plane")
+    sigma_mrad: float | None = Field(
+        None, description="standard deviation of the residuals of rows that are no outliers"
+    )
+    outliers: list[str] | None = Field(
+        None, description="ids of rows that disagree with the others"
+    )
+    diagnostics: dict[str, Any] | None = None
+    converged: bool | None = Field(None, description="posteriors, as all below")
+    tau: dict[str, float] | None = Field(None, description="autocorrelation time, steps")
+    draws: int | None = Field(None, description="of the posterior that were kept")
+    steps: int | None = Field(None, description="of each ensemble, without burn-in")
+    acceptance: float | None = Field(None, description="share of proposals accepted")
+    importance: dict[str, Any] | None = Field(
+        None, description="the same moments by importance sampling, and whether they agree"
+    )
+
+
+class Score(Part):
+    """How well one model predicts."""
+
+    model: str
+    loo: float = Field(description="expected log predictive density, leave one out, nats")
+    loo_se: float = Field(description="standard error of loo")
+    aicc: float | None = Field(
+        None, description="Akaike's criterion, corrected; absent with too few rows"
+    )
+    bic: float = Field(description="Schwarz's criterion")
+    cv_depth_rms_rel: float | None = Field(
+        None,
+        description="rms of relative depth errors, each group of rows predicted without it",
+    )
+    validation_depth_rms_rel: float | None = Field(
+        None, description="the same of the validation rows"
+    )
+    weight: float = Field(description="stacking")
+    averaging_weight: float = Field(description="pseudo-BMA+")
+    pareto_k_max: float = Field(description="greatest k-hat of the rows")
+    refitted: list[str] = Field(
+        description="rows predicted by an exact refit, as their k-hat was too high"
+    )
+    unreliable: list[str] = Field(description="rows whose refit's own importance weights were poor")

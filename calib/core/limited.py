@@ -32,10 +32,13 @@ def read_limited(path: Path, limit: int, *, regular: bool = False) -> bytes:
     if regular and not stat.S_ISREG(path.stat().st_mode):
         raise OSError(f"{path} is no plain file")
     with path.open("rb") as file:
-        # What a file says of its size only saves the reading.
-        if os.fstat(file.fileno()).st_size > limit:
+        # What a file says of its size only saves the reading, and a buffer of the limit's size.
+        size = os.fstat(file.fileno()).st_size
+        if size > limit:
             raise TooLargeError(f"{path} is too large")
-        data = file.read(limit + 1)
+        data = file.read(size + 1)
+        if len(data) > size:
+            data += file.read(limit + 1 - len(data))
     if len(data) > limit:
         raise TooLargeError(f"{path} is too large")
     return data

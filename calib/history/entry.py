@@ -8,7 +8,9 @@ date in run.toml.
 
 from __future__ import annotations
 
+import errno
 import hashlib
+import os
 import re
 import tomllib
 from dataclasses import dataclass
@@ -27,7 +29,7 @@ from calib.core.limited import read_limited
 from calib.core.seal import is_edited
 from calib.geometry.parameters import INDEX
 from calib.instrument.calibration_file import FILE_LIMIT_BYTES
-from calib.stages.manifest import AGAIN, is_run, refuse_broken
+from calib.stages.manifest import AGAIN, Listing, refuse_broken
 from calib.stages.run_folder import MANIFEST
 
 RESULT, CERTIFICATE, RUN = "calibration.json", "certificate.xml", "run.toml"
@@ -41,9 +43,10 @@ FILES = (RESULT, CERTIFICATE, RUN, MANIFEST)
 _NAMESPACE = "https://ptb.de/dcc"
 _DCC = {"dcc": _NAMESPACE}
 _ADMINISTRATIVE = f"{{{_NAMESPACE}}}administrativeData"
-_SERIAL = (
+_SERIAL = etree.XPath(
     "dcc:items/dcc:item/dcc:identifications/dcc:identification"
-    "[dcc:name/dcc:content='serial number']/dcc:value/text()"
+    "[dcc:name/dcc:content='serial number']/dcc:value/text()",
+    namespaces=_DCC,
 )
 _PERFORMED = "dcc:coreData/dcc:endPerformanceDate"
 
@@ -141,21 +144,19 @@ def read_entry(folder: Path) -> Entry:
     ValueError
         If it cannot be read, was edited or is of no whole run; the text says why.
     """
-    content = _whole(folder, RESULT)
+    files = _Files(folder)
+    content = files.whole(RESULT)
     try:
-        raw = from_json(content)
-        document = _Document.model_validate(raw)
+        document = _Document.model_validate_json(content)
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"]) or "the file"
         raise ValueError(f"{where}: {first['msg']}") from error
-    except ValueError as error:
-        raise ValueError(f"is no JSON ({error})") from error
     failed = [gate.name for gate in document.gates if not gate.passed]
     if failed:
         raise GatesFailedError(f"must not be used: gate {', '.join(failed)} failed")
     # In the folder of a run its manifest has said already that the file is what the run wrote.
-    if not is_run(folder) and is_edited(raw):
+    if files.listing is None and is_edited(from_json(content)):
         raise ValueError("was edited after the run that wrote it")
     m = document.measurement
     values, covariance = np.array(m.values), np.array([list(row) for row in m.covariance])
@@ -165,8 +166,8 @@ def read_entry(folder: Path) -> Entry:
     if values.shape != (n,) or covariance.shape != (n, n) or not set(m.names) <= set(INDEX):
         raise ValueError("measurement: names, values and covariance do not belong together")
     _refuse_impossible(m, covariance)
-    finished = _finished(folder)
-    serial, dated = _certified(folder, document.dataset.sha256)
+    finished = _finished(files)
+    serial, dated = _certified(files, document.dataset.sha256)
     stated = document.rig.serial if document.rig is not None else None
     return Entry(
         path=str(folder),
@@ -184,20 +185,39 @@ def read_entry(folder: Path) -> Entry:
     )
 
 
-def _whole(folder: Path, name: str) -> bytes:
-    """Return the bytes of a file beside a calibration, which must be those that the run wrote."""
-    path = folder / name
-    try:
-        content = read_limited(path, FILE_LIMIT_BYTES, regular=True)
-        refuse_broken(path, content)
-    except InputError as error:
-        # No option takes it: an index is of what runs wrote.
-        fault = error.problems[0]
-        named = "" if fault.where == str(folder) else f"{Path(fault.where).name} "
-        raise ValueError(f"{named}{fault.what}; {AGAIN}") from error
-    except OSError as error:
-        raise ValueError(f"{name}: {error.strerror or error}") from error
-    return content
+class _Files:
+    """The files of one folder; the manifest that says which of them are whole is read once."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self.listing = Listing.of(folder)
+
+    def whole(self, name: str) -> bytes:
+        """Return the bytes of a file, which must be those that the run wrote."""
+        content = self.optional(name)
+        if content is None:
+            raise ValueError(f"{name}: {os.strerror(errno.ENOENT)}")
+        return content
+
+    def optional(self, name: str) -> bytes | None:
+        """Return the same, or None if there is no such file."""
+        path = self._folder / name
+        try:
+            content = read_limited(path, FILE_LIMIT_BYTES, regular=True)
+            if path.is_symlink():
+                refuse_broken(path, content)
+            elif self.listing is not None:
+                self.listing.refuse_broken(name, content)
+        except FileNotFoundError:
+            return None
+        except InputError as error:
+            # No option takes it: an index is of what runs wrote.
+            fault = error.problems[0]
+            named = "" if fault.where == str(self._folder) else f"{Path(fault.where).name} "
+            raise ValueError(f"{named}{fault.what}; {AGAIN}") from error
+        except OSError as error:
+            raise ValueError(f"{name}: {error.strerror or error}") from error
+        return content
 
 
 def _refuse_impossible(m: _Measurement, covariance: FloatArray) -> None:
@@ -217,17 +237,17 @@ def _refuse_impossible(m: _Measurement, covariance: FloatArray) -> None:
         raise ValueError(f"measurement.calibrated_depth_mm: {near:g} to {far:g} is no range")
 
 
-def _certified(folder: Path, dataset_sha256: str) -> tuple[str | None, str | None]:
+def _certified(files: _Files, dataset_sha256: str) -> tuple[str | None, str | None]:
     """Return serial number and date of the certificate beside a calibration, as far as stated."""
-    if not (folder / CERTIFICATE).exists():
+    if (content := files.optional(CERTIFICATE)) is None:
         return None, None
     try:
-        head = _administrative_data(_whole(folder, CERTIFICATE))
+        head = _administrative_data(content)
     except etree.XMLSyntaxError:
         return None, None
     if head is None:
         return None, None
-    serials: Any = head.xpath(_SERIAL, namespaces=_DCC)
+    serials: Any = _SERIAL(head)
     dated = head.findtext(_PERFORMED, namespaces=_DCC)
     found = str(serials[0]).strip() if serials else None
     # Where no serial number is stated, the certificate identifies the item by its dataset.
@@ -246,11 +266,10 @@ def _administrative_data(content: bytes) -> etree._Element | None:
     return None
 
 
-def _finished(folder: Path) -> str:
+def _finished(files: _Files) -> str:
     """Return when a run ended, as run.toml has it; empty where it does not say."""
-    if not (folder / RUN).exists():
+    if (content := files.optional(RUN)) is None:
         return ""
-    content = _whole(folder, RUN)
     try:
         text = content.decode("utf-8")
         section = _RUN_SECTION.search(text)

@@ -11,6 +11,8 @@ from __future__ import annotations
 import json
 import stat
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -119,6 +121,37 @@ def _unfinished(out: Path, document: Mapping[str, Any] | None) -> Problem | None
     return None
 
 
+@dataclass(frozen=True)
+class Listing:
+    """What the manifest of a run's folder says, read once for all files of the folder."""
+
+    folder: Path
+    document: Mapping[str, Any] | None
+
+    @classmethod
+    def of(cls, folder: Path) -> Listing | None:
+        """Return that of a folder; None if the folder is not that of a run."""
+        return cls(folder, json_object(folder / MANIFEST)) if is_run(folder) else None
+
+    @cached_property
+    def _listed(self) -> dict[str, Any]:
+        return _files(self.document)
+
+    def refuse_broken(self, name: str, content: bytes, *, edited: bool = False) -> None:
+        """Raise as the function of this name does, for a file that is no link."""
+        if (unfinished := _unfinished(self.folder, self.document)) is not None:
+            raise InputError((unfinished,))
+        if name not in (*ALWAYS, *SOMETIMES, *self._listed) or edited:
+            return
+        if self._listed.get(name) != sha256(content).hexdigest():
+            raise InputError.single(
+                where=str(self.folder / name),
+                what="is not what the run wrote: it was edited, or is of another run than the "
+                "certificate beside it",
+                remedy=f"{AGAIN}, or use it as it is with --allow-edited",
+            )
+
+
 def refuse_broken(file: Path, content: bytes, *, edited: bool = False) -> None:
     """Raise if a file lies in the folder of a run that is not whole, or is not the run's.
 
@@ -139,26 +172,8 @@ def refuse_broken(file: Path, content: bytes, *, edited: bool = False) -> None:
         Naming it, with the remedy.
     """
     for place in dict.fromkeys((file, file.resolve())):
-        _refuse_broken(place, content, edited=edited)
-
-
-def _refuse_broken(file: Path, content: bytes, *, edited: bool) -> None:
-    folder = file.parent
-    if not is_run(folder):
-        return
-    document = json_object(folder / MANIFEST)
-    if (unfinished := _unfinished(folder, document)) is not None:
-        raise InputError((unfinished,))
-    files = _files(document)
-    if file.name not in (*ALWAYS, *SOMETIMES, *files) or edited:
-        return
-    if files.get(file.name) != sha256(content).hexdigest():
-        raise InputError.single(
-            where=str(file),
-            what="is not what the run wrote: it was edited, or is of another run than the "
-            "certificate beside it",
-            remedy=f"{AGAIN}, or use it as it is with --allow-edited",
-        )
+        if (listing := Listing.of(place.parent)) is not None:
+            listing.refuse_broken(place.name, content, edited=edited)
 
 
 def refuse_broken_folder(folder: Path) -> None:

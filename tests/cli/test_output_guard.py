@@ -25,7 +25,7 @@ from calib.stages.output_guard import RUN_FOLDER, files_of, guarded
 from calib.stages.owner import claim
 from calib.stages.run_folder import ALWAYS, FORMER, MANIFEST, RECORD, SOMETIMES
 from calib.stages.store import Store
-from tests.history.test_index import TRUTH, written
+from tests.history.fleet import TRUTH, written
 
 COMMANDS = list(commands(parser()))
 OUTPUTS = [

@@ -1,87 +1,27 @@
-"""The index of calibrations. Evidence: properties, writers killed at random, simulated rigs."""
+"""The index of calibrations. Evidence: properties, writers killed at random."""
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
 import signal
 import sqlite3
 import subprocess
 import sys
-from datetime import date, timedelta
-from hashlib import sha256
+from datetime import date
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from calib.cli.main import main
-from calib.core.errors import InputError
-from calib.geometry.misclosure import depth_jacobian
-from calib.geometry.parameters import INDEX, vector
-from calib.geometry.plane import gaze_at
+from calib.history import entry
 from calib.history.entry import Entry, read_entry
 from calib.history.index import history, rigs, update
-from calib.history.page import page_name
-from calib.history.quantities import series
 from calib.history.scan import scan
-from calib.history.summary import due, notes, show, since
+from calib.history.summary import notes
 from calib.stages.manifest import begin_outputs, end_outputs
 from calib.stages.run_folder import ALWAYS
-
-NAMES = ["baseline_mm", "delta2_rad", "axis_z_mm", "eccentricity_mm"]
-TRUTH = np.array([120.0, 0.01, -20.0, 3.0])
-STD = np.array([6.0, 5e-4, 1.0, 6.0])
-CORRELATION = np.eye(4)
-CORRELATION[0, 3] = CORRELATION[3, 0] = -0.998
-COVARIANCE = CORRELATION * np.outer(STD, STD)
-
-
-def written(
-    folder: Path,
-    values: np.ndarray,
-    *,
-    rig: str | None,
-    day: date,
-    dataset: str | None = None,
-    hour: str = "08:00:00+00:00",
-    measurement: dict[str, object] | None = None,
-) -> Path:
-    """Write what history reads of a run; `dataset` is the digest, by default of a new one."""
-    folder.mkdir(parents=True)
-    document = {
-        "format": 1,
-        "dataset": {
-            "name": "my-rig",
-            "sha256": dataset or sha256(str(folder).encode()).hexdigest(),
-        },
-        "measurement": {
-            "model": "axis-offset",
-            "names": NAMES,
-            "values": values.tolist(),
-            "covariance": COVARIANCE.tolist(),
-            "calibrated_depth_mm": [600, 1400],
-            **(measurement or {}),
-        },
-    }
-    if rig is not None:
-        document["rig"] = {"serial": rig}
-    (folder / "calibration.json").write_text(json.dumps(document))
-    (folder / "run.toml").write_text(f'[run]\nfinished = "{day}T{hour}"\n')
-    return folder
-
-
-def fleet(top: Path, *, of: int, each: int, step: float = 0.0) -> Path:
-    """Write sound rigs; `step` is added to delta2 from the seventh calibration on."""
-    rng = np.random.default_rng(0)
-    for i in range(of):
-        for k in range(each):
-            values = rng.multivariate_normal(TRUTH, COVARIANCE)
-            values[1] += step * (k >= 6)
-            day = date(2020, 1, 1) + timedelta(days=90 * k)
-            written(top / f"{i:03d}-{k:02d}", values, rig=f"R{i:03d}", day=day)
-    return top
+from tests.history.fleet import COVARIANCE, NAMES, STD, TRUTH, fleet, written
 
 
 def contents(index: Path) -> list[tuple[object, ...]]:
@@ -165,16 +105,21 @@ def test_files_as_they_were_are_not_read_again(
     assert rigs(index)[1] == ("R001", 3, "2030-01-01")
 
 
+def finish(run: Path) -> None:
+    """Write the rest of a run, and its manifest."""
+    begin_outputs(run, ALWAYS)
+    for name in ("results.h5", "report.html"):
+        (run / name).write_text("")
+    end_outputs(run, "", (*ALWAYS, *(p.name for p in run.glob("certificate.*"))))
+
+
 def test_a_link_is_of_the_run_that_its_target_lies_in(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("calib.history.scan.YOUNG_S", -3600.0)
     top, index = fleet(tmp_path / "runs", of=1, each=1), tmp_path / "i.sqlite"
     run = top / "000-00"
-    begin_outputs(run, ALWAYS)
-    for name in ("results.h5", "report.html"):
-        (run / name).write_text("")
-    end_outputs(run, "", ALWAYS)
+    finish(run)
     view = tmp_path / "views" / "mine"
     view.mkdir(parents=True)
     for name in ("calibration.json", "run.toml"):
@@ -185,6 +130,25 @@ def test_a_link_is_of_the_run_that_its_target_lies_in(
     ((path, fault),) = update(index, [view.parent]).unreadable
     assert path == str(view)
     assert "did not finish" in fault
+
+
+def test_files_of_two_runs_make_no_entry(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A run is made again while it is read: its calibration was of before, its date of after."""
+    run = written(tmp_path / "run", TRUTH, rig="R", day=date(2021, 1, 1))
+    finish(run)
+    assert read_entry(run).date == "2021-01-01"
+    read = entry.read_limited
+
+    def reading(path: Path, limit: int, *, regular: bool) -> bytes:
+        content = read(path, limit, regular=regular)
+        if path.name == "calibration.json":
+            (run / "run.toml").write_text('[run]\nfinished = "2022-02-02T08:00:00+00:00"\n')
+            finish(run)
+        return content
+
+    monkeypatch.setattr(entry, "read_limited", reading)
+    with pytest.raises(ValueError, match="run\\.toml is not what the run wrote"):
+        read_entry(run)
 
 
 def test_a_folder_whose_name_is_no_text_is_told_and_the_others_are_taken(tmp_path: Path) -> None:
@@ -259,100 +223,6 @@ def test_two_writers_and_twenty_kills_lose_nothing(tmp_path: Path) -> None:
     assert contents(index) == contents(tmp_path / "anew.sqlite")
 
 
-def test_charted_uncertainties_are_those_of_repeated_calibrations(tmp_path: Path) -> None:
-    """300 calibrations of one rig: standard deviations are known to 4.1 %."""
-    update(tmp_path / "i.sqlite", [fleet(tmp_path / "runs", of=1, each=300)])
-    found = series(history(tmp_path / "i.sqlite", "R000"))
-    assert len(found) == 6
-    for s in found:
-        assert np.std(s.values) == pytest.approx(np.median(s.std), rel=4 * 0.041), s.name
-
-
-def test_a_step_of_the_zero_is_charted(tmp_path: Path) -> None:
-    top = fleet(tmp_path / "runs", of=1, each=14, step=6 * STD[1])
-    update(tmp_path / "i.sqlite", [top])
-    rows = {row[0]: row for row in show(history(tmp_path / "i.sqlite", "R000"))[1:]}
-    assert rows["delta2, rad"][4] == "ALARM 2021-06-24"
-    assert "scatter exceeds" in rows["delta2, rad"][-1]
-    assert "ALARM" not in "".join(rows["effective baseline, mm"])
-
-
-def test_due_counts_from_the_repair(tmp_path: Path) -> None:
-    update(tmp_path / "i.sqlite", [fleet(tmp_path / "runs", of=1, each=8, step=0.02)])
-    entries = history(tmp_path / "i.sqlite", "R000")
-    drifting = due(entries, tolerance_mm=60.0)
-    kept = since(entries, date.fromisoformat(entries[6].date))
-    assert kept == entries[6:]
-    repaired = due(kept, tolerance_mm=60.0)
-    with pytest.raises(InputError, match="since it was repaired"):
-        since(entries, date(2030, 1, 1))
-    assert drifting is not None
-    assert repaired is not None
-    assert drifting[1].interval < 90
-    assert repaired[1].interval == 90
-    assert due(entries[:1], tolerance_mm=60.0) is None
-
-
-def test_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    index = ["--index", str(tmp_path / "i.sqlite")]
-    top = fleet(tmp_path / "runs", of=2, each=5)
-    assert main(["history", "show", *index]) == 2
-    assert "calib history index" in capsys.readouterr().err
-    assert main(["history", "index", str(top), *index]) == 0
-    assert "10 calibrations found" in capsys.readouterr().out
-    assert main(["history", "show", *index]) == 0
-    assert "R001" in capsys.readouterr().out
-    assert main(["history", "show", "R001", *index]) == 0
-    assert "depth at 1000 mm" in capsys.readouterr().out
-    chart = tmp_path / "chart.svg"
-    assert main(["history", "chart", "R001", "--out", str(chart), *index]) == 0
-    first = chart.read_bytes()
-    assert first.startswith(b"<svg")
-    assert main(["history", "chart", "R001", "--out", str(chart), *index]) == 0
-    assert chart.read_bytes() == first
-    assert main(["history", "chart", "R001", "--out", str(chart), "--accepted", "5", *index]) == 2
-    capsys.readouterr()
-    assert main(["history", "due", "R001", "--tolerance", "40", *index]) == 0
-    assert "ILAC-G24:2022" in capsys.readouterr().out
-    assert main(["history", "due", "R7", "--tolerance", "40", *index]) == 2
-    assert "no rig 'R7'" in capsys.readouterr().err
-    (tmp_path / "i.sqlite").write_text("no database, but long enough to be looked at" * 9)
-    assert main(["history", "show", *index]) == 2
-
-
-def test_pages_lead_to_all_rigs_alarms_first(tmp_path: Path) -> None:
-    fleet(tmp_path / "good", of=2, each=5)
-    moved = fleet(tmp_path / "moved", of=3, each=12, step=5e-3)
-    for folder in moved.glob("00[01]-*"):
-        shutil.rmtree(folder)
-    index = tmp_path / "h.sqlite"
-    update(index, [tmp_path / "good", moved])
-    out = tmp_path / "pages"
-    command = ["history", "page", "--index", str(index), "--out", str(out), "--tolerance", "20"]
-    assert main(command) == 0
-    assert sorted(path.name for path in out.iterdir()) == [
-        "R000.html", "R001.html", "R002.html", "index.html",
-    ]  # fmt: skip
-    text = (out / "index.html").read_text()
-    assert text.index("R002.html") < text.index("R000.html")
-    assert "delta2 (Shewhart" in text
-    one = (out / "R002.html").read_text()
-    assert "ALARM 2021-06-24" in one
-    assert one.count("<svg") == 18
-    assert "due on 2022-" in one
-    assert "ALARM" not in (out / "R000.html").read_text()
-
-
-@pytest.mark.parametrize(
-    "serial", ["../../etc", "a/b", "index", "", ".", "a b", "\N{GREEK SMALL LETTER ALPHA}"]
-)
-def test_a_page_of_any_serial_stays_in_its_folder(serial: str) -> None:
-    name = page_name(serial)
-    assert Path(name).name == name
-    assert not name.startswith((".", "index.html"))
-    assert name != page_name(serial + "x")
-
-
 def test_runs_of_one_dataset_are_one_calibration(tmp_path: Path) -> None:
     """Else the same rows, calibrated thrice, make a reference of u / sqrt(3)."""
     for k, hour in enumerate(("09:00:00+00:00", "12:00:00+02:00", "08:00:00+00:00")):
@@ -398,42 +268,3 @@ def test_impossible_calibrations_stay_out(
     ((path, why),) = update(tmp_path / "i.sqlite", [tmp_path / "runs"]).unreadable
     assert path == str(folder)
     assert told in why
-
-
-def test_no_serial_obeys_or_vanishes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    index = ["--index", str(tmp_path / "i.sqlite")]
-    written(tmp_path / "runs" / "a", TRUTH, rig="\x1b[31mred\n", day=date(2021, 1, 1))
-    update(tmp_path / "i.sqlite", [tmp_path / "runs"])
-    assert main(["history", "show", *index]) == 0
-    assert main(["history", "show", "\x1b[31mred\n", *index]) == 0
-    assert "\x1b" not in capsys.readouterr().out
-    out = tmp_path / "pages"
-    assert main(["history", "page", "--rig", "nobody", "--out", str(out), *index]) == 2
-    assert "no rig 'nobody'" in capsys.readouterr().err
-    assert not out.exists()
-
-
-def test_a_date_far_ahead_is_told(tmp_path: Path) -> None:
-    for year in (1, 5000, 9999):
-        written(tmp_path / "runs" / str(year), TRUTH, rig="R", day=date(year, 12, 31))
-    update(tmp_path / "i.sqlite", [tmp_path / "runs"])
-    entries = history(tmp_path / "i.sqlite", "R")
-    assert any("in the future" in note for note in notes(entries))
-    found = due(entries, tolerance_mm=1e6)
-    assert found is not None
-    assert found[0] == date.max
-
-
-def test_charted_depths_are_those_of_the_jacobian(tmp_path: Path) -> None:
-    """Values and uncertainties of many calibrations at once against one by one."""
-    update(tmp_path / "i.sqlite", [fleet(tmp_path / "runs", of=1, each=5)])
-    entries = history(tmp_path / "i.sqlite", "R000")
-    z = np.linspace(*entries[0].range_mm, 3)
-    theta = [vector(dict(zip(e.names, e.values.tolist(), strict=True))) for e in entries]
-    gaze = gaze_at(theta[0], np.column_stack([np.zeros((3, 2)), z]))
-    for k, s in enumerate(series(entries)[-3:]):
-        for i, e in enumerate(entries):
-            exact = depth_jacobian(theta[i], gaze)
-            slope = exact.by_theta[k, [INDEX[name] for name in e.names]]
-            assert s.values[i] == pytest.approx(exact.z[k], rel=1e-12)
-            assert s.std[i] == pytest.approx(np.sqrt(slope @ e.covariance @ slope), rel=1e-5)

@@ -26,7 +26,9 @@ class Part(BaseModel):
     A number that does not exist (infinite, not a number) is not written.
     """
 
-    model_config = ConfigDict(frozen=True, strict=True, extra="forbid", validate_by_name=True)
+    model_config = ConfigDict(
+        frozen=True, strict=True, extra="forbid", validate_by_name=True, defer_build=True
+    )
 
 
 class FinitePart(Part):

@@ -206,7 +206,7 @@ def _run_show(arguments: argparse.Namespace) -> int:
 
 def _run_chart(arguments: argparse.Namespace) -> int:
     from calib.core.errors import InputError
-    from calib.history.drawing import chart_rows, one_drawing
+    from calib.history.drawing import chart_rows, legend, one_drawing
     from calib.history.index import history
     from calib.history.quantities import series
     from calib.history.summary import ACCEPTED, since
@@ -220,7 +220,11 @@ def _run_chart(arguments: argparse.Namespace) -> int:
             what=f"has {len(entries)} calibrations, of which {accepted} make the reference",
             remedy="calibrate it again, or give a smaller --accepted",
         )
-    picture = one_drawing(chart_rows(series(entries), accepted=accepted)).encode()
+    picture = one_drawing(
+        chart_rows(series(entries), accepted=accepted),
+        title=f"Rig {entries[0].rig}, calibrations from {entries[0].date} to {entries[-1].date}",
+        caption=legend(accepted=accepted, of="calibrations"),
+    ).encode()
     write_bytes(arguments.out, picture.replace(b"<svg ", b"<svg " + MARK, 1))
     print(f"{harmless(str(arguments.out))}: written")
     return 0

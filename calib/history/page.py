@@ -9,7 +9,7 @@ from pathlib import Path
 
 from calib.core.errors import CalibError
 from calib.history.charts import charts, reference
-from calib.history.drawing import chart_rows
+from calib.history.drawing import chart_rows, legend
 from calib.history.drift import drifts
 from calib.history.entry import Entry
 from calib.history.output import changes_tables
@@ -45,13 +45,17 @@ def rig_page(entries: Sequence[Entry], *, accepted: int, tolerance_mm: float | N
         Largest tolerated error of a depth by drift; without it no due date is given.
     """
     head, *rows = show(entries, accepted=accepted)
-    blocks: list[Block] = [
-        Paragraph(note)
-        for note in (*notes(entries, accepted=accepted), *_due(entries, tolerance_mm))
-    ]
-    blocks.append(PlainTable("Control charts", head, [_states(row) for row in rows]))
+    said = (
+        *_state(entries, accepted), *notes(entries, accepted=accepted),
+        *_due(entries, tolerance_mm),
+    )  # fmt: skip
+    blocks: list[Block] = [Paragraph(text) for text in said]
+    # A note below its line: beside it, it would squeeze the figures.
+    lines = [cells for row in rows for cells in (_states(row[:-1]), [row[-1]]) if cells != [""]]
+    blocks.append(PlainTable("Control charts", head[:-1], lines))
     if len(entries) > accepted:
-        blocks.append(Drawing("Charts", chart_rows(series(entries), accepted=accepted)))
+        drawn = chart_rows(series(entries), accepted=accepted)
+        blocks.append(Drawing("Charts", drawn, legend(accepted=accepted, of="calibrations")))
     blocks += _last_change(entries)
     blocks.append(_calibrations(entries))
     return plain_page(f"Rig {entries[0].rig}", blocks, generator=GENERATOR)
@@ -102,6 +106,14 @@ def _alarms(entries: Sequence[Entry], accepted: int) -> list[str]:
         if names:
             found.append(f"{one.name} ({', '.join(names)})")
     return found
+
+
+def _state(entries: Sequence[Entry], accepted: int) -> list[str]:
+    """Return whether the rig is in control, in words; nothing where there is no chart yet."""
+    if len(entries) <= accepted:
+        return []
+    alarms = _alarms(entries, accepted)
+    return [f"Alarm: {'; '.join(alarms)}." if alarms else "All charts are in control."]
 
 
 def _states(row: Sequence[str]) -> list[Cell]:

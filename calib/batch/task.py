@@ -20,8 +20,8 @@ from threading import Lock
 from typing import Literal
 
 from calib.core.parent import ending_with_this
+from calib.stages.files import IN_USE, is_in_use
 from calib.stages.parallel import PROCESSORS
-from calib.stages.store import IN_USE, is_in_use
 
 Ending = Literal["passed", "gates failed", "refused", "crashed"]
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from calib.capture.guidance.asked import Asked, Role
 from calib.images.detection.picture import Grey
-from calib.stages.store import write_bytes
+from calib.stages.files import write_bytes
 
 FILE: Final = "guide.png"
 EVERY_S: Final = 0.5

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from calib.core.errors import InputError, UsageError
 from calib.dataset.folder import decode
-from calib.stages.store import clear_partial, make_folder, opened_lock, write_bytes
+from calib.stages.files import clear_partial, make_folder, opened_lock, write_bytes
 
 MANIFEST: Final = "dataset.toml"
 JOURNAL: Final = "session.jsonl"

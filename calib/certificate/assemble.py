@@ -13,7 +13,7 @@ from calib.certificate.inputs import (
 from calib.dataset.manifest import Certificate, Manifest, Rig
 from calib.instrument.calibrated import EVALUATION, CalibratedInstrument
 from calib.results.calibration import Calibration, GazeResult
-from calib.results.fits_document import effective_baseline, effective_interval
+from calib.results.effective_baseline import effective_baseline, effective_interval
 from calib.stages.provenance import Provenance as RunProvenance
 from calib.uncertainty.evidence import Evidence
 from calib.uncertainty.montecarlo import Interval

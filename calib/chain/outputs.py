@@ -22,12 +22,14 @@ from calib.images.intrinsics.model_files import cameramodel_text, opencv_text
 from calib.images.result import ImageResult
 from calib.report.context import report_context
 from calib.report.page import render_report
-from calib.results.calibration import Calibration, to_json
+from calib.results.calibration import Calibration
+from calib.results.contents.whole import to_json
 from calib.results.hdf5_file import archive
+from calib.stages.files import write_bytes
 from calib.stages.manifest import begin_outputs, end_outputs
 from calib.stages.provenance import Provenance, provenance
 from calib.stages.run_folder import SOMETIMES
-from calib.stages.store import Store, write_bytes
+from calib.stages.store import Store
 
 
 def write_outputs(

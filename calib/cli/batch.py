@@ -51,8 +51,8 @@ def run(arguments: argparse.Namespace) -> int:
     from calib.batch.run import run_batch, tasks_of
     from calib.batch.summary import counts, csv_text, line_of, page
     from calib.cli.console import Console
+    from calib.stages.files import make_folder, write_bytes
     from calib.stages.parallel import processors
-    from calib.stages.store import make_folder, write_bytes
 
     interrupt_on(signal.SIGINT, signal.SIGTERM)
     tasks = tasks_of(arguments.datasets, arguments.out, seed=arguments.seed, force=arguments.force)

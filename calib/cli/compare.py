@@ -41,7 +41,7 @@ def run(arguments: argparse.Namespace) -> int:
     from calib.history.drift import accepted, drifts
     from calib.history.output import document, html, tables, text, verdicts
     from calib.history.read import read_run
-    from calib.stages.store import write_bytes
+    from calib.stages.files import write_bytes
 
     if len(arguments.runs) < 2:
         raise UsageError("compare takes two runs or more")

@@ -35,7 +35,7 @@ def run(arguments: argparse.Namespace) -> int:
     from calib.instrument.calibration_file import read_cameras
     from calib.results.export import FORMATS as WRITERS
     from calib.results.export import marked
-    from calib.stages.store import make_folder, write_bytes
+    from calib.stages.files import make_folder, write_bytes
 
     found = read_cameras(arguments.calibration, allow_edited=arguments.allow_edited)
     files = {n: marked(text, MARK) for n, text in WRITERS[arguments.format](found).items()}

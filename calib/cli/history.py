@@ -210,7 +210,7 @@ def _run_chart(arguments: argparse.Namespace) -> int:
     from calib.history.index import history
     from calib.history.quantities import series
     from calib.history.summary import ACCEPTED, since
-    from calib.stages.store import write_bytes
+    from calib.stages.files import write_bytes
 
     accepted = arguments.accepted or ACCEPTED
     entries = since(history(arguments.index, arguments.rig), arguments.repaired)
@@ -252,7 +252,7 @@ def _run_page(arguments: argparse.Namespace) -> int:
     from calib.history.index import history, rigs
     from calib.history.page import fleet_page, page_name, rig_page
     from calib.history.summary import ACCEPTED, since
-    from calib.stages.store import make_folder, write_bytes
+    from calib.stages.files import make_folder, write_bytes
 
     asked = {"accepted": arguments.accepted or ACCEPTED, "tolerance_mm": arguments.tolerance}
     if arguments.rig is None and arguments.repaired is not None:
@@ -279,7 +279,7 @@ def _run_check(arguments: argparse.Namespace) -> int:
     from calib.history.standard_text import findings, notes, page, table
     from calib.instrument.calibration_file import read_calibration
     from calib.instrument.measuring import table_text
-    from calib.stages.store import write_bytes
+    from calib.stages.files import write_bytes
 
     measuring = read_calibration(arguments.calibration, allow_edited=arguments.allow_edited)
     minded = warn_of_failed(
@@ -315,7 +315,7 @@ def _add_session(arguments: argparse.Namespace, measuring: Measuring, standard: 
     from calib.history.gazed import gaze_standard, has_sessions, targets_of, with_session
     from calib.history.standard import check_standard
     from calib.rig.known import known_board
-    from calib.stages.store import write_bytes
+    from calib.stages.files import write_bytes
 
     name, plates = (
         str(arguments.readings),

@@ -201,7 +201,7 @@ def _opened(table: Path, name: str) -> IO[bytes]:
 @contextmanager
 def writer(path: Path | None) -> Iterator[Callable[[str], None]]:
     """Give a function that writes text: to standard output at once, or to a file, whole."""
-    from calib.stages.store import atomic_write
+    from calib.stages.files import atomic_write
 
     if path is None:
 

@@ -76,7 +76,7 @@ def run(arguments: argparse.Namespace) -> int:
     from calib.plan.advise import advise
     from calib.plan.output import picture, picture_format, text
     from calib.plan.prepare import prepare
-    from calib.stages.store import write_bytes
+    from calib.stages.files import write_bytes
 
     kind = None if arguments.out is None else picture_format(arguments.out)
     dataset = load_dataset(arguments.dataset, rows_to_come=True)

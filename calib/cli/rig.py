@@ -39,7 +39,7 @@ def _run_check(arguments: argparse.Namespace) -> int:
     from calib.rig.check import check_rig
     from calib.rig.check_file import check_text
     from calib.rig.known import known_board, known_lens
-    from calib.stages.store import write_bytes
+    from calib.stages.files import write_bytes
 
     out = arguments.out
     if out is None:

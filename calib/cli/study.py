@@ -59,7 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Run the study and return the exit status: 3 if a claim is clearly broken."""
     from calib.cli.console import Console
-    from calib.stages.store import write_bytes
+    from calib.stages.files import write_bytes
     from calib.study.claims import judge, verdict_text
     from calib.study.conditions import chosen
     from calib.study.output import study_files, study_names

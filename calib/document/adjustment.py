@@ -6,16 +6,14 @@ from typing import Literal
 
 from pydantic import Field
 
+from calib.document.cameras import CameraMatrix
 from calib.document.findings import GatePart
 from calib.document.part import Matrix, Part, Vector
 
 
-class AdjustedCamera(Part):
+class AdjustedCamera(CameraMatrix):
     """A camera by the adjustment; without uncertainty if it was given."""
 
-    matrix: Matrix
-    distortion: Vector
-    image_size: list[int]
     std: Vector | None = Field(None, description="fx, fy, cx, cy, distortion")
     covariance: Matrix | None = Field(None, description="of fx, fy, cx, cy, distortion; px and 1")
 
@@ -46,9 +44,9 @@ class AdjustmentPart(Part):
     intrinsics: dict[Literal["c1", "c2"], AdjustedCamera]
     stereo: AdjustedStereo
     pictures: dict[str, int] = Field(description="how many, by camera and purpose")
-    left_out: list[str] = Field(description="pictures that contradict the others")
+    left_out: tuple[str, ...] = Field(description="pictures that contradict the others")
     rejected_points: int
     rms_px: float
     sigma_px: dict[str, float] = Field(description="of a corner, by camera and purpose")
     readings: AdjustedReadings
-    gates: list[GatePart]
+    gates: tuple[GatePart, ...]

@@ -6,7 +6,7 @@ units of what they are of.
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Literal
 
 from pydantic import Field
 
@@ -15,6 +15,7 @@ from calib.document.cameras import Intrinsics
 from calib.document.depths import AverageDepth, Depth, ValidationRow
 from calib.document.findings import CausePart, CorrectionPart, GatePart, StructurePart
 from calib.document.fits import Fit, Score
+from calib.document.identifiability import Identifiability
 from calib.document.measurement import Measurement
 from calib.document.part import Part
 from calib.document.stereo import StereoPart, SweepPart
@@ -26,7 +27,7 @@ class DatasetPart(Part):
     name: str
     sha256: str = Field(description="of manifest, tables and images, names and bytes")
     rows: int | None = Field(None, description="number of gaze rows")
-    rows_sketch: list[str] | None = Field(
+    rows_sketch: tuple[str, ...] | None = Field(
         None, description="smallest digests of the rows: by them runs see whether they share some"
     )
 
@@ -38,16 +39,15 @@ class RigPart(Part):
     serial: str | None = Field(None, description="of the rig, as the manifest states it")
 
 
-class Integrity(Part):
-    """By which an edit is noticed."""
+class ErrorSummary(Part):
+    """Errors of the measured depths against one reference."""
 
-    sha256: str = Field(
-        description="of the document without this section, as compact JSON with sorted keys"
-    )
+    rms_rel: float = Field(description="root of the mean square, over the reference depth")
+    mean_rel: float = Field(description="mean, over the reference depth")
 
 
-class Document(Part):
-    """The result of a calibration, for programs."""
+class Content(Part):
+    """The result of a calibration."""
 
     format: Literal[1]
     generator: str
@@ -59,8 +59,8 @@ class Document(Part):
     sweep: SweepPart | None = None
     fits: dict[str, Fit] | None = None
     adjustment: AdjustmentPart | None = None
-    identifiability: dict[str, dict[str, Any]] | None = None
-    comparison: list[Score] | None = None
+    identifiability: dict[str, Identifiability] | None = None
+    comparison: tuple[Score, ...] | None = None
     selected: str | None = None
     selection_rule: str | None = None
     method: Literal["rows", "adjustment"] | None = Field(
@@ -68,18 +68,31 @@ class Document(Part):
     )
     method_rule: str | None = Field(None, description="why")
     measurement: Measurement | None = None
-    depth_uncertainty: list[Depth] | None = None
-    depth_uncertainty_average: list[AverageDepth] | None = None
-    validation: list[ValidationRow] | None = None
-    validation_summary: dict[str, dict[str, float]] | None = None
-    diagnosis: list[CausePart] | None = Field(None, description="best first")
-    residual_structure: list[StructurePart] | None = None
-    corrections: list[CorrectionPart] | None = None
+    depth_uncertainty: tuple[Depth, ...] | None = None
+    depth_uncertainty_average: tuple[AverageDepth, ...] | None = None
+    validation: tuple[ValidationRow, ...] | None = None
+    validation_summary: dict[str, ErrorSummary] | None = None
+    diagnosis: tuple[CausePart, ...] | None = Field(None, description="best first")
+    residual_structure: tuple[StructurePart, ...] | None = None
+    corrections: tuple[CorrectionPart, ...] | None = None
     not_fitted: dict[str, str] | None = None
-    gates: list[GatePart]
-    warnings: list[str]
-    contradictions: list[str] | None = Field(
+    gates: tuple[GatePart, ...]
+    warnings: tuple[str, ...]
+    contradictions: tuple[str, ...] | None = Field(
         default=None,
         description="of the warnings, those of a validation reference that contradicts the depths",
     )
+
+
+class Integrity(Part):
+    """By which an edit is noticed."""
+
+    sha256: str = Field(
+        description="of the document without this section, as compact JSON with sorted keys"
+    )
+
+
+class Document(Content):
+    """The result of a calibration, for programs."""
+
     integrity: Integrity

@@ -2,20 +2,47 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Literal, Self
 
-from pydantic import Field
+from pydantic import ConfigDict, Field, model_validator
 
 from calib.document.part import Matrix, Part, Vector
 
+LENS_COEFFICIENTS = (0, 4, 5, 8, 12, 14)
+"""Numbers of coefficients that OpenCV's lens model can have."""
 
-class Lens(Part):
+
+class CameraMatrix(Part):
+    """A pinhole with the distortion of its lens."""
+
+    matrix: Matrix = Field(description="px, the centre of the top-left pixel is (0, 0)")
+    distortion: Vector = Field(description="OpenCV's order")
+    image_size: tuple[int, int] = Field(description="width and height, px")
+
+
+class MeasuringCamera(CameraMatrix):
+    """Intrinsics of a camera that measures: those that a camera can have."""
+
+    model_config = ConfigDict(allow_inf_nan=False)
+
+    @model_validator(mode="after")
+    def _is_a_pinhole(self) -> Self:
+        if len(self.distortion) not in LENS_COEFFICIENTS:
+            raise ValueError(f"{len(self.distortion)} lens coefficients fit no model")
+        if tuple(map(len, self.matrix)) != (3, 3, 3):
+            raise ValueError("the matrix is not of shape (3, 3)")
+        (fx, skew, _), (zero, fy, _), last = self.matrix
+        if min(fx, fy) <= 0 or (skew, zero, *last) != (0, 0, 0, 0, 1):
+            raise ValueError("the matrix is not [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]")
+        if min(self.image_size) <= 0:
+            raise ValueError("the picture has no pixels")
+        return self
+
+
+class Lens(CameraMatrix):
     """A solve of one camera's intrinsics."""
 
     lens_model: str
-    matrix: Matrix = Field(description="px, the centre of the top-left pixel is (0, 0)")
-    distortion: Vector = Field(description="OpenCV's order")
-    image_size: tuple[int, int]
     std: Vector | None = Field(None, description="of fx, fy, cx, cy, distortion")
     rms_px: float | None = Field(None, description="of the corners' residuals")
     rejected_points: int | None = Field(None, description="corners left out as outliers")
@@ -44,7 +71,7 @@ class Intrinsics(Lens):
         description="variance as views show it over that of corner noise alone; in covariance",
     )
     selection: str | None = Field(None, description="why this solve was selected, in words")
-    rejected_views: list[str] | None = None
+    rejected_views: tuple[str, ...] | None = None
     alternatives: dict[str, dict[str, Lens]] | None = Field(
         None, description="all solves, by backend and lens model"
     )

@@ -28,7 +28,7 @@ class CausePart(Part):
     in_model: bool = Field(description="whether the model allows for it already")
     text: str
     remedy: str
-    fits_as_well: list[str] = Field(description="causes that explain the rows about as well")
+    fits_as_well: tuple[str, ...] = Field(description="causes that explain the rows about as well")
     told_apart_by: str
 
 
@@ -56,4 +56,4 @@ class GatePart(Part):
 
     name: str
     passed: bool
-    detail: str
+    detail: str = ""

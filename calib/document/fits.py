@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 from pydantic import Field
 
 from calib.document.part import Matrix, Part, Vector
-from calib.geometry.parameters import PARAMETERS
+from calib.geometry.parameters import PARAMETERS, IdentifiedBy
 
 
 class Estimate(Part):
@@ -17,17 +17,19 @@ class Estimate(Part):
     std: float = Field(description="standard uncertainty")
 
 
-IdentifiedBy = Literal["data", "prior", "both"]
-
-
 class Parameter(Estimate):
     """An estimated parameter."""
 
     identified_by: IdentifiedBy | None = None
     std_over_data_only_std: float | None = Field(None, description="robust fits")
-    q2_5: float | None = Field(None, alias="q2.5", description="posteriors, as all below")
+    q2_5: float | None = Field(
+        None,
+        validation_alias="q2.5",
+        serialization_alias="q2.5",
+        description="posteriors, as all below",
+    )
     q50: float | None = Field(None, description="median")
-    q97_5: float | None = Field(None, alias="q97.5")
+    q97_5: float | None = Field(None, validation_alias="q97.5", serialization_alias="q97.5")
     ess: float | None = Field(None, description="effective draws in the bulk")
     ess_tail: float | None = Field(None, description="effective draws in the tails")
     rhat: float | None = Field(None, description="R-hat across ensembles")
@@ -36,25 +38,43 @@ class Parameter(Estimate):
 class Derived(Estimate):
     """A quantity that follows from the parameters of a fit."""
 
-    q2_5: float | None = Field(None, alias="q2.5", description="posteriors, as q97.5")
-    q97_5: float | None = Field(None, alias="q97.5")
+    q2_5: float | None = Field(
+        None,
+        validation_alias="q2.5",
+        serialization_alias="q2.5",
+        description="posteriors, as q97.5",
+    )
+    q97_5: float | None = Field(None, validation_alias="q97.5", serialization_alias="q97.5")
 
 
 _UNITS = ", ".join(f"{p.name} ({p.meaning})" for p in PARAMETERS)
+
+
+class Importance(Part):
+    """Moments of a posterior by importance sampling."""
+
+    k_hat: float | None = Field(None, description="Pareto shape of the upper tail of the weights")
+    ess: float | None = Field(None, description="effective draws")
+    mean: Vector | None = Field(None, description="of the parameters")
+    std: Vector | None = Field(None, description="of the same")
+    agreement: float | None = Field(
+        None, description="largest difference of the means from the chains', over what is allowed"
+    )
+    agrees: bool = Field(description="whether it is reliable and confirms means and spreads")
 
 
 class Fit(Part):
     """A fit; NAME/linear, NAME/convex, NAME/robust, NAME/posterior or NAME/adjustment."""
 
     parameters: Annotated[dict[str, Parameter], Field(description=_UNITS)]
-    names: list[str] = Field(description="order of the covariance")
+    names: tuple[str, ...] = Field(description="order of the covariance")
     covariance: Matrix
     derived: dict[str, Derived] | None = Field(None, description="effective_baseline_mm: L_b + e")
     residual_mrad: Vector | None = Field(None, description="angle of each row to its gaze plane")
     sigma_mrad: float | None = Field(
         None, description="standard deviation of the residuals of rows that are no outliers"
     )
-    outliers: list[str] | None = Field(
+    outliers: tuple[str, ...] | None = Field(
         None, description="ids of rows that disagree with the others"
     )
     diagnostics: dict[str, Any] | None = None
@@ -63,7 +83,7 @@ class Fit(Part):
     draws: int | None = Field(None, description="of the posterior that were kept")
     steps: int | None = Field(None, description="of each ensemble, without burn-in")
     acceptance: float | None = Field(None, description="share of proposals accepted")
-    importance: dict[str, Any] | None = Field(
+    importance: Importance | None = Field(
         None, description="the same moments by importance sampling, and whether they agree"
     )
 
@@ -88,7 +108,9 @@ class Score(Part):
     weight: float = Field(description="stacking")
     averaging_weight: float = Field(description="pseudo-BMA+")
     pareto_k_max: float = Field(description="greatest k-hat of the rows")
-    refitted: list[str] = Field(
+    refitted: tuple[str, ...] = Field(
         description="rows predicted by an exact refit, as their k-hat was too high"
     )
-    unreliable: list[str] = Field(description="rows whose refit's own importance weights were poor")
+    unreliable: tuple[str, ...] = Field(
+        description="rows whose refit's own importance weights were poor"
+    )

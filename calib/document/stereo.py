@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from pydantic import Field
+from typing import Self
+
+from pydantic import ConfigDict, Field, model_validator
 
 from calib.document.fits import Estimate
 from calib.document.part import Matrix, Part, Vector
@@ -26,11 +28,28 @@ class PairTarget(Part):
     u_z_mm: float
 
 
-class StereoPart(Part):
+class Pose(Part):
+    """How the cameras stand."""
+
+    transform_12: Matrix = Field(description="4 x 4, P1 = R P2 + t: takes a point of C2 to C1, mm")
+
+
+class MeasuringPose(Pose):
+    """How cameras stand that measure."""
+
+    model_config = ConfigDict(allow_inf_nan=False)
+
+    @model_validator(mode="after")
+    def _is_a_transform(self) -> Self:
+        if tuple(map(len, self.transform_12)) != (4, 4, 4, 4):
+            raise ValueError("the transform is not of shape (4, 4)")
+        return self
+
+
+class StereoPart(Pose):
     """The pose of C2 in C1's frame, C2 held at one yaw."""
 
     source: str = Field(description="how the pose was found")
-    transform_12: Matrix = Field(description="4 x 4, P1 = R P2 + t: takes a point of C2 to C1, mm")
     covariance: Matrix | None = Field(
         description="of rotation vector, rad, and translation, mm, of transform_12"
     )
@@ -38,14 +57,14 @@ class StereoPart(Part):
     baseline_std_mm: float | None = Field(description="its standard uncertainty")
     rms_px: float | None = Field(description="of the pairs' residuals")
     pairs: int = Field(description="how many were used")
-    alternatives: list[StereoSolve]
-    targets: list[PairTarget]
+    alternatives: tuple[StereoSolve, ...]
+    targets: tuple[PairTarget, ...]
 
 
 class Measured(Part):
     """Jointly measured parameters."""
 
-    names: list[str]
+    names: tuple[str, ...]
     mean: Vector
     covariance: Matrix
 

@@ -220,7 +220,7 @@ def _decided_by(fit: RobustFit, levels: _Levels, priors: Priors) -> tuple[str, .
     each = np.eye(len(fit.names))
     alone, swept = levels.rows.std(each), levels.sweep.std(each)
     measured = () if priors.measured is None else priors.measured.names
-    found = []
+    found: list[str] = []
     for i, (name, who) in enumerate(zip(fit.names, fit.identified_by, strict=True)):
         if who == "prior":
             found.append(who)

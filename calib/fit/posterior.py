@@ -15,6 +15,7 @@ from calib.fit.importance import ImportanceSample, sample_importance
 from calib.fit.modes import LeftOutMode, find_left_out_mode
 from calib.fit.priors import NOISE_SCALE, Priors
 from calib.fit.robust import RobustFit
+from calib.geometry.parameters import IdentifiedBy
 from calib.rows.observations import Observations
 
 STORED_DRAWS = 16_000
@@ -97,7 +98,7 @@ class Posterior:
     importance_std: FloatArray
     agreement: float
     agrees: bool
-    identified_by: tuple[str, ...]
+    identified_by: tuple[IdentifiedBy, ...]
 
     @property
     def flat(self) -> FloatArray:

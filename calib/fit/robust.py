@@ -26,6 +26,7 @@ from calib.geometry.parameters import (
     MODELS,
     REFERENCE_OFFSET,
     STANDOFF,
+    IdentifiedBy,
     Model,
     embed,
     model_for,
@@ -116,7 +117,7 @@ class RobustFit:
     tails: Tails
     data_parameters: float
     group_freedom: float
-    identified_by: tuple[str, ...]
+    identified_by: tuple[IdentifiedBy, ...]
     data_share: FloatArray
     evaluations: int
 
@@ -259,7 +260,7 @@ NEARLY_NO_PRIOR = 1e-8
 """Share of the prior's precision left when asking what the data alone determine."""
 
 
-def identified_by(data_share: float) -> str:
+def identified_by(data_share: float) -> IdentifiedBy:
     """Return who decided a parameter, from its standard deviation over that without priors."""
     if data_share > DECIDED:
         return "data"

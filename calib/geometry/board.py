@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -118,7 +119,7 @@ class LensFit:
         Solved deformation of the board in x and y, mm, where the backend solves it; else None.
     """
 
-    backend: str
+    backend: Literal["mrcal", "opencv", "joint"]
     lens_model: str
     camera: Camera
     covariance: FloatArray

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
+from typing import Literal
 
 import numpy as np
 
@@ -131,6 +132,9 @@ PARAMETERS: tuple[Parameter, ...] = (
               ReferenceOffset(), 50.0, 10.0),
 )
 # fmt: on
+
+IdentifiedBy = Literal["data", "prior", "both"]
+"""Who decided an estimate: the data, the prior, or both together."""
 
 NAMES: tuple[str, ...] = tuple(p.name for p in PARAMETERS)
 INDEX: Mapping[str, int] = MappingProxyType({name: i for i, name in enumerate(NAMES)})

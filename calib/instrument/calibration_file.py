@@ -6,7 +6,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 from pydantic import ValidationError
@@ -16,24 +16,23 @@ from calib.core.errors import InputError
 from calib.core.gate import Gate
 from calib.core.limited import TooLargeError, read_limited
 from calib.core.seal import is_edited
+from calib.document.cameras import CameraMatrix, MeasuringCamera
+from calib.document.findings import GatePart
+from calib.document.measurement import AveragePart, ByOneModel, ModelPart
+from calib.document.measurement import Spread as SpreadPart
+from calib.document.part import FinitePart
+from calib.document.reading import CameraFile, MeasuringFile
 from calib.geometry.camera import Camera
-from calib.instrument.document import (
-    CameraFile,
-    CameraSection,
-    File,
-    GateSection,
-    OneInstrument,
-    Section,
-    Share,
-)
 from calib.rows.common_errors import Shared
 from calib.rows.from_table import CameraSet, RowSettings, Setup
 from calib.stages.manifest import refuse_broken
 from calib.uncertainty.measurement import (
     Instrument,
     ModelShare,
+    ParameterKnowledge,
     ReadingSpread,
     SharedErrors,
+    Spread,
 )
 
 FORMAT = 1
@@ -106,7 +105,7 @@ def read_whole(path: Path, *, allow_edited: bool = False) -> tuple[Measuring, di
 
     The document is checked as far as the instrument goes. See `read_calibration` for errors.
     """
-    file, document = _read(path, File, "measurement", allow_edited=allow_edited)
+    file, document = _read(path, MeasuringFile, "measurement", allow_edited=allow_edited)
     return _measuring(file), document
 
 
@@ -134,13 +133,13 @@ def read_cameras(path: Path, *, allow_edited: bool = False) -> Cameras:
     """Return the cameras of a calibration.json; see `read_calibration` for errors."""
     file, _ = _read(path, CameraFile, "intrinsics", allow_edited=allow_edited)
     return Cameras(
-        cameras={name: camera.camera() for name, camera in sorted(file.intrinsics.items())},
+        cameras={name: _camera(camera) for name, camera in sorted(file.intrinsics.items())},
         transform_12=None if file.stereo is None else np.array(file.stereo.transform_12),
         failed_gates=_failed(file.gates),
     )
 
 
-_Model = TypeVar("_Model", bound=Section)
+_Model = TypeVar("_Model", bound=FinitePart)
 
 _LACKING = {
     "measurement": (
@@ -167,7 +166,7 @@ def _read(
     if needed not in document:
         raise _bad(path, *_LACKING[needed])
     try:
-        file = model.model_validate_json(text)
+        file = model.model_validate_json(text, extra="ignore")
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         where = ".".join(str(part) for part in first["loc"])
@@ -181,11 +180,11 @@ def _read(
     return file, document
 
 
-def _failed(gates: Sequence[GateSection]) -> tuple[Gate, ...]:
+def _failed(gates: Sequence[GatePart]) -> tuple[Gate, ...]:
     return tuple(Gate(g.name, passed=False, detail=g.detail) for g in gates if not g.passed)
 
 
-def _measuring(file: File) -> Measuring:
+def _measuring(file: MeasuringFile) -> Measuring:
     """Return the instrument of record, with the other one."""
     m = file.measurement
     rows = _one(file, m, file.intrinsics)
@@ -199,15 +198,17 @@ def _measuring(file: File) -> Measuring:
     return replace(by[file.method], by=by)
 
 
-def _one(file: File, m: OneInstrument, intrinsics: Mapping[str, CameraSection]) -> Measuring:
+def _one(
+    file: MeasuringFile, m: ByOneModel, intrinsics: Mapping[Literal["c1", "c2"], MeasuringCamera]
+) -> Measuring:
     """Return one instrument of a file."""
     reading = ReadingSpread(
-        x1c=m.reading.x1c.spread(),
-        y1c=m.reading.y1c.spread(),
-        alpha2_rad=m.reading.alpha2_rad.spread(),
-        gaze_residual_rad=m.reading.gaze_residual_rad.spread(),
+        x1c=_spread(m.reading.x1c),
+        y1c=_spread(m.reading.y1c),
+        alpha2_rad=_spread(m.reading.alpha2_rad),
+        gaze_residual_rad=_spread(m.reading.gaze_residual_rad),
     )
-    cameras = {name: camera.camera() for name, camera in intrinsics.items()}
+    cameras = {str(name): _camera(camera) for name, camera in intrinsics.items()}
     settings = RowSettings(
         u_x1c=m.stated.u_x1c,
         u_z_mm=0.0,
@@ -220,7 +221,7 @@ def _one(file: File, m: OneInstrument, intrinsics: Mapping[str, CameraSection]) 
         factor = np.array(m.shared.factor)
         shared = Shared(m.shared.names, factor, m.shared.sources or (UNNAMED,) * factor.shape[1])
     return Measuring(
-        instrument=Instrument(m.knowledge(), reading, _errors(m, shared.error_names)),
+        instrument=Instrument(_knowledge(m), reading, _errors(m, shared.error_names)),
         setup=Setup(settings, CameraSet(cameras.get("c1"), cameras.get("c2")), shared),
         noise_factor=m.noise_factor,
         calibrated_mm=m.calibrated_depth_mm,
@@ -230,7 +231,25 @@ def _one(file: File, m: OneInstrument, intrinsics: Mapping[str, CameraSection]) 
     )
 
 
-def _errors(m: OneInstrument, of_readings: tuple[str, ...]) -> SharedErrors | None:
+def _knowledge(m: ModelPart) -> ParameterKnowledge:
+    return ParameterKnowledge(
+        names=m.names,
+        values=np.array(m.values),
+        covariance=np.array(m.covariance),
+        degrees_of_freedom=None,
+        evaluation=("A",) * len(m.names),
+    )
+
+
+def _spread(spread: SpreadPart) -> Spread:
+    return Spread(normal=spread.normal, width=spread.width)
+
+
+def _camera(camera: CameraMatrix) -> Camera:
+    return Camera(np.array(camera.matrix), np.array(camera.distortion), camera.image_size)
+
+
+def _errors(m: ByOneModel, of_readings: tuple[str, ...]) -> SharedErrors | None:
     """Return the shared errors: those that readings have too, then those of rows alone."""
     links = np.zeros((len(m.names), 0)) if m.shared is None else np.array(m.shared.with_parameters)
     if m.shared_by_rows is None:
@@ -240,7 +259,7 @@ def _errors(m: OneInstrument, of_readings: tuple[str, ...]) -> SharedErrors | No
     return SharedErrors((*of_readings, *alone), links, of_rows_alone=len(alone))
 
 
-def _share(share: Share, reading: ReadingSpread, errors: tuple[str, ...]) -> ModelShare:
+def _share(share: AveragePart, reading: ReadingSpread, errors: tuple[str, ...]) -> ModelShare:
     """Return a model's share; `reading` is that of the selected model, as it stands for all."""
     common = None
     if share.with_parameters is not None:
@@ -248,7 +267,7 @@ def _share(share: Share, reading: ReadingSpread, errors: tuple[str, ...]) -> Mod
     return ModelShare(
         model=share.model,
         weight=share.weight,
-        instrument=Instrument(share.knowledge(), reading, common),
+        instrument=Instrument(_knowledge(share), reading, common),
         noise_factor=share.noise_factor,
         factor95=share.factor95,
     )

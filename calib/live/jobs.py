@@ -35,7 +35,7 @@ from calib.rig.check import check_rig
 from calib.rig.check_file import check_path, check_text, read_check
 from calib.rig.known import known_lens
 from calib.rig.protocols import RigError
-from calib.stages.store import write_bytes
+from calib.stages.files import write_bytes
 
 MODEL: Final = "selected"
 U_Z_MM: Final = 1.0

@@ -19,10 +19,10 @@ from typing import Any
 
 from calib.core.errors import InputError, Problem, UsageError
 from calib.core.mrcal_python import mrcal_identity
+from calib.stages.files import CACHE, write_bytes
 from calib.stages.fingerprint import digest, whole_code
 from calib.stages.provenance import direct_packages
 from calib.stages.run_folder import ALWAYS, FORMER, MANIFEST, SOMETIMES, json_object
-from calib.stages.store import CACHE, write_bytes
 
 FORMAT = 1
 

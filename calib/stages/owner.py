@@ -10,7 +10,7 @@ from pathlib import Path
 from calib.core.errors import UsageError
 from calib.core.limited import read_limited
 from calib.core.owner import Owner
-from calib.stages.store import CACHE, write_bytes
+from calib.stages.files import CACHE, write_bytes
 
 LIMIT_BYTES = 1_000_000
 OWNER = Path(CACHE) / "dataset.json"

@@ -20,7 +20,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import stdtrit
 
 from calib.core.arrays import FloatArray
 
@@ -224,6 +223,8 @@ def coverage_factor(degrees_of_freedom: float) -> float | None:
     """
     if degrees_of_freedom < 1:
         return None
+    from scipy.special import stdtrit
+
     # Rounding errors must not turn five degrees of freedom into four.
     whole = math.floor(degrees_of_freedom + 1e-9) if math.isfinite(degrees_of_freedom) else math.inf
     return float(stdtrit(whole, (1 + COVERAGE) / 2))

@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import ndtr
 
 from calib.core.arrays import FloatArray
 from calib.uncertainty.montecarlo import NORMAL_FACTOR
@@ -86,6 +85,8 @@ def _quantile(
     weights: FloatArray, mean: FloatArray, spread: FloatArray, level: float
 ) -> FloatArray:
     """Return a quantile, shape (n,), of mixtures of normals, shape (models, n), by bisection."""
+    from scipy.special import ndtr  # takes as long as all else that measuring imports
+
     low = (mean - BRACKET * spread).min(axis=0)
     high = (mean + BRACKET * spread).max(axis=0)
     for _ in range(HALVINGS):

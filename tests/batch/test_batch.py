@@ -19,7 +19,8 @@ from calib.batch.run import run_batch, tasks_of
 from calib.batch.summary import Line, csv_text, page
 from calib.batch.task import Task, calibrate_one
 from calib.core.errors import UsageError
-from calib.stages.store import Store, is_in_use
+from calib.stages.files import is_in_use
+from calib.stages.store import Store
 from tests.cli.command import CALIB, DATASETS, process
 
 PAPER = DATASETS / "xu-wang-2017"

@@ -40,7 +40,7 @@ def calibrated(
         shorten(patch.setattr)
         status = main(["calibrate", str(folder), "--out", str(out)])
     document: dict[str, Any] = json.loads((out / "calibration.json").read_text())
-    Document.model_validate(document)
+    Document.model_validate_json(json.dumps(document))
     return status, capsys.readouterr().out, document
 
 

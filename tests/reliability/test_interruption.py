@@ -24,8 +24,8 @@ import numpy as np
 import pytest
 from short_chain import Started, dataset, starter
 
+from calib.stages.files import PARTIAL
 from calib.stages.stage_file import SEAL_BYTES
-from calib.stages.store import PARTIAL
 
 Start = Callable[..., Started]
 SAME = ("calibration.json", "results.h5")

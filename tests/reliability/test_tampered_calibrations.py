@@ -22,7 +22,7 @@ from short_chain import dataset, shorten
 
 from calib.cli.main import main
 from calib.core.seal import KEY, with_digest
-from calib.instrument.document import File
+from calib.document.reading import MeasuringFile
 
 Place = tuple[str | int, ...]
 
@@ -171,7 +171,7 @@ RANGES: dict[str, tuple[Place, Any]] = {
 
 def wrong_types(whole: dict[str, Any]) -> Iterator[tuple[Place, Any]]:
     """Yield places that measuring reads, with what cannot stand there."""
-    for place, is_required in read_by_measure(File, (), whole):
+    for place, is_required in read_by_measure(MeasuringFile, (), whole):
         if is_required:
             yield place, DROP
         was = value_at(whole, place)

@@ -23,7 +23,7 @@ from report_examples import everything, images, paper
 from calib.core.gate import Gate
 from calib.report import plotting
 from calib.report.page import SECTIONS, render_report
-from calib.results.fits_document import effective_baseline
+from calib.results.effective_baseline import effective_baseline
 
 LIMIT_BYTES = 3_000_000
 

@@ -37,7 +37,7 @@ from calib.report.plotting import picture
 from calib.report.scene import scene_data
 from calib.report.sections.pick import chosen_fit, contrasted, shown_rows
 from calib.results.calibration import Calibration, GazeResult
-from calib.results.fits_document import effective_baseline, effective_interval
+from calib.results.effective_baseline import effective_baseline, effective_interval
 from calib.rows.observations import Observations
 
 

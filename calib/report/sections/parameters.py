@@ -40,7 +40,7 @@ from calib.report.plotting import picture
 from calib.report.sections.identifiability import decided_cell
 from calib.report.sections.pick import selected
 from calib.results.calibration import Calibration, GazeResult
-from calib.results.fits_document import effective_baseline, effective_interval
+from calib.results.effective_baseline import effective_baseline, effective_interval
 from calib.results.wording import MODELS
 
 

@@ -29,7 +29,7 @@ from calib.report.numbers import EFFECTIVE, bounds, factor, plus_minus, signed, 
 from calib.report.sections.contradiction import what_the_errors_do
 from calib.report.sections.pick import chosen_fit
 from calib.results.calibration import Calibration, GazeResult
-from calib.results.fits_document import effective_baseline, effective_interval
+from calib.results.effective_baseline import effective_baseline, effective_interval
 from calib.uncertainty.format import significant
 
 _BACKENDS = {"joint": "the joint solve of lenses and pairs"}

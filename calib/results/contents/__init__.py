@@ -1,0 +1,1 @@
+"""calibration.json filled from results: each file returns parts of its model, `calib.document`."""

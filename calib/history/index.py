@@ -10,6 +10,7 @@ the folders were under the lock, whoever else writes.
 from __future__ import annotations
 
 import json
+import os
 import sqlite3
 from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
@@ -71,15 +72,31 @@ class Indexed:
 
 
 @contextmanager
-def _opened(index: Path) -> Iterator[sqlite3.Connection]:
+def _opened(index: Path, *, options: str = "") -> Iterator[sqlite3.Connection]:
     try:
-        with closing(sqlite3.connect(index, timeout=WAIT_S, isolation_level=None)) as connection:
+        name = f"{index.absolute().as_uri()}{options}"
+        with closing(
+            sqlite3.connect(name, timeout=WAIT_S, isolation_level=None, uri=True)
+        ) as connection:
             yield connection
     except sqlite3.DatabaseError as error:
         raise UsageError(
             f"{index}: cannot be used ({error}); name another file with --index: an index is made "
             "anew from the folders of the runs"
         ) from error
+
+
+@contextmanager
+def _reading(index: Path) -> Iterator[sqlite3.Connection]:
+    """Open an index that is there, also one that may only be read."""
+    if not index.is_file():
+        raise InputError.single(
+            where=str(index), what="is not there", remedy="make it with calib history index DIR"
+        )
+    # Write-ahead logging has readers write beside the file. Where nobody may, nobody writes either.
+    shared = os.access(index.absolute().parent, os.W_OK) or Path(f"{index}-wal").exists()
+    with _opened(index, options="?mode=ro" if shared else "?immutable=1") as connection:
+        yield connection
 
 
 def _refuse_foreign(connection: sqlite3.Connection, index: Path) -> None:
@@ -126,6 +143,8 @@ def update(index: Path, roots: Sequence[Path]) -> Indexed:
         unreadable = [(p, s.fault) for p, s in seen.items() if s.fault and not s.has_failed]
         now = {p: before[p] for p, s in seen.items() if not (s.entry or s.fault)}
         now |= {e.path: e.sha256 for e in entries}
+        closed = [Path(path) for path, s in seen.items() if s.is_closed]
+        bad |= {p for p in before if any(Path(p).is_relative_to(c) for c in closed)}
         gone = _gone(before, roots, now) | (bad & set(before))
         connection.executemany("DELETE FROM calibration WHERE path=?", [(p,) for p in gone])
         connection.executemany("DELETE FROM stamp WHERE path=?", [(p,) for p in gone])
@@ -166,8 +185,15 @@ def _known(connection: sqlite3.Connection) -> dict[str, Seen]:
 def _gone(before: dict[str, str], roots: Sequence[Path], now: dict[str, str]) -> set[str]:
     """Return the paths whose calibration is no longer there."""
     tops, here = [root.resolve() for root in roots], set(now.values())
-    missing = [p for p in before if p not in now and not (Path(p) / RESULT).is_file()]
+    missing = [p for p in before if p not in now and not _may_be_there(Path(p) / RESULT)]
     return {p for p in missing if before[p] in here or any(Path(p).is_relative_to(t) for t in tops)}
+
+
+def _may_be_there(file: Path) -> bool:
+    try:
+        return file.is_file()
+    except OSError:  # nobody may look
+        return True
 
 
 def _row(e: Entry) -> tuple[str | float, ...]:
@@ -197,8 +223,7 @@ def _differences(
 
 def rigs(index: Path) -> list[tuple[str, int, str]]:
     """Return each rig's serial number, number of calibrations and date of the last, sorted."""
-    _must_exist(index)
-    with _opened(index) as connection:
+    with _reading(index) as connection:
         return connection.execute(
             "SELECT rig, COUNT(DISTINCT dataset_sha256), MAX(date) FROM calibration "
             "GROUP BY rig ORDER BY rig"
@@ -215,8 +240,7 @@ def history(index: Path, rig: str) -> list[Entry]:
     InputError
         If the rig is not in the index.
     """
-    _must_exist(index)
-    with _opened(index) as connection:
+    with _reading(index) as connection:
         rows = connection.execute(
             "SELECT * FROM calibration WHERE rig=? ORDER BY date, finished, path", (rig,)
         ).fetchall()
@@ -248,10 +272,3 @@ def _entry(row: tuple[Any, ...]) -> Entry:
         dataset_sha256=of,
         finished=finished,
     )
-
-
-def _must_exist(index: Path) -> None:
-    if not index.is_file():
-        raise InputError.single(
-            where=str(index), what="is not there", remedy="make it with calib history index DIR"
-        )

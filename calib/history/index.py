@@ -21,13 +21,13 @@ from typing import Any
 import numpy as np
 
 from calib.core.errors import InputError, UsageError
-from calib.history.entry import RESULT, Entry
+from calib.history.entry import RESULT, Entry, one_spelling
 from calib.history.scan import Seen, refuse_missing, scan
 
 WAIT_S = 60.0
 """For another writer; a transaction of 10,000 calibrations takes a tenth of it."""
 
-LAYOUT = 3
+LAYOUT = 4
 """Version of the tables; an index of another is made anew."""
 
 APPLICATION = 0x43414C49
@@ -37,7 +37,8 @@ _TABLE = """
 CREATE TABLE IF NOT EXISTS calibration (
   path TEXT PRIMARY KEY, sha256 TEXT NOT NULL, rig TEXT NOT NULL, date TEXT NOT NULL,
   dataset TEXT NOT NULL, model TEXT NOT NULL, near_mm REAL NOT NULL, far_mm REAL NOT NULL,
-  parameters TEXT NOT NULL, dataset_sha256 TEXT NOT NULL, finished TEXT NOT NULL) WITHOUT ROWID;
+  parameters TEXT NOT NULL, dataset_sha256 TEXT NOT NULL, finished TEXT NOT NULL,
+  has_serial INTEGER NOT NULL) WITHOUT ROWID;
 CREATE INDEX IF NOT EXISTS by_rig ON calibration (rig, date);
 CREATE TABLE IF NOT EXISTS stamp (path TEXT PRIMARY KEY, stamp TEXT NOT NULL) WITHOUT ROWID;
 """
@@ -149,7 +150,8 @@ def update(index: Path, roots: Sequence[Path]) -> Indexed:
         connection.executemany("DELETE FROM calibration WHERE path=?", [(p,) for p in gone])
         connection.executemany("DELETE FROM stamp WHERE path=?", [(p,) for p in gone])
         connection.executemany(
-            "INSERT OR REPLACE INTO calibration VALUES (?,?,?,?,?,?,?,?,?,?,?)", map(_row, entries)
+            "INSERT OR REPLACE INTO calibration VALUES (?,?,?,?,?,?,?,?,?,?,?,?)",
+            map(_row, entries),
         )
         connection.executemany(
             "INSERT OR REPLACE INTO stamp VALUES (?,?)",
@@ -199,7 +201,7 @@ def _may_be_there(file: Path) -> bool:
 def _row(e: Entry) -> tuple[str | float, ...]:
     parameters = json.dumps([e.names, e.values.tolist(), e.covariance.tolist()])
     head = (e.path, e.sha256, e.rig, e.date, e.dataset, e.model, *e.range_mm)
-    return *head, parameters, e.dataset_sha256, e.finished
+    return *head, parameters, e.dataset_sha256, e.finished, e.has_serial
 
 
 def _differences(
@@ -242,7 +244,8 @@ def history(index: Path, rig: str) -> list[Entry]:
     """
     with _reading(index) as connection:
         rows = connection.execute(
-            "SELECT * FROM calibration WHERE rig=? ORDER BY date, finished, path", (rig,)
+            "SELECT * FROM calibration WHERE rig=? ORDER BY date, finished, path",
+            (one_spelling(rig),),
         ).fetchall()
     if not rows:
         raise InputError.single(
@@ -256,7 +259,7 @@ def history(index: Path, rig: str) -> list[Entry]:
 
 
 def _entry(row: tuple[Any, ...]) -> Entry:
-    path, sha256, rig, day, dataset, model, near, far, parameters, of, finished = row
+    path, sha256, rig, day, dataset, model, near, far, parameters, of, finished, named = row
     names, values, covariance = json.loads(parameters)
     return Entry(
         path=path,
@@ -271,4 +274,5 @@ def _entry(row: tuple[Any, ...]) -> Entry:
         covariance=np.array(covariance),
         dataset_sha256=of,
         finished=finished,
+        has_serial=bool(named),
     )

@@ -231,6 +231,25 @@ def test_the_rig_is_that_of_json_then_certificate_then_dataset(tmp_path: Path) -
     }  # fmt: skip
 
 
+def test_what_nobody_sees_makes_no_other_rig(tmp_path: Path) -> None:
+    """Spaces, and letters with an accent of their own."""
+    serials = [
+        "R\N{LATIN SMALL LETTER E WITH ACUTE} 1",
+        " Re\N{COMBINING ACUTE ACCENT}\t1 ",
+        "r1",
+        " ",
+    ]
+    for k, serial in enumerate(serials):
+        written(tmp_path / "runs" / str(k), TRUTH, rig=serial, day=date(2021, 1, 1 + k))
+    index = tmp_path / "i.sqlite"
+    update(index, [tmp_path / "runs"])
+    assert [(rig, number) for rig, number, _ in rigs(index)] == [
+        ("R\N{LATIN SMALL LETTER E WITH ACUTE} 1", 2), ("my-rig", 1), ("r1", 1),
+    ]  # fmt: skip
+    assert any("no serial number" in note for note in notes(history(index, "my-rig")))
+    assert not any("no serial number" in note for note in notes(history(index, "r1")))
+
+
 PROGRAM = "import sys; from calib.cli.main import main; sys.exit(main())"
 
 

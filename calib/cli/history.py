@@ -18,7 +18,10 @@ from calib.core.errors import harmless
 from calib.stages.output_guard import OutputKind, files_of
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from calib.history.certified import Standard
+    from calib.history.entry import Entry
     from calib.instrument.calibration_file import Measuring
 
 NOT_ALL = 3
@@ -120,9 +123,14 @@ def _tolerance(parser: argparse.ArgumentParser, *, required: bool) -> None:
 
 
 def _repaired(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
+    either = parser.add_mutually_exclusive_group()
+    either.add_argument(
         "--repaired", type=_date, metavar="DATE",
         help="of the rig's last repair or adjustment; calibrations before it do not count",
+    )  # fmt: skip
+    add_input(
+        parser, "--repairs", group=either, metavar="CSV",
+        help="the same of many rigs: columns rig and date",
     )  # fmt: skip
 
 
@@ -184,18 +192,18 @@ def _run_index(arguments: argparse.Namespace) -> int:
 
 def _run_show(arguments: argparse.Namespace) -> int:
     from calib.core.errors import UsageError
-    from calib.history.index import history, rigs
+    from calib.history.index import rigs
     from calib.history.output import text
-    from calib.history.summary import ACCEPTED, notes, show, since
+    from calib.history.summary import ACCEPTED, notes, show
 
     if arguments.rig is None:
-        if arguments.repaired is not None:
-            raise UsageError("--repaired: name the rig that was repaired")
+        if arguments.repaired is not None or arguments.repairs is not None:
+            raise UsageError("--repaired and --repairs: name a rig to show")
         rows = [[harmless(rig), str(number), last] for rig, number, last in rigs(arguments.index)]
         sys.stdout.write(text([("Rigs", [["rig", "calibrations", "last"], *rows])]))
         return 0
     accepted = arguments.accepted or ACCEPTED
-    entries = since(history(arguments.index, arguments.rig), arguments.repaired)
+    entries = _counting(arguments)
     dates = f"{entries[0].date} to {entries[-1].date}"
     title = f"{harmless(arguments.rig)}: {len(entries)} calibrations, {dates}"
     sys.stdout.write(text([(title, show(entries, accepted=accepted))]))
@@ -206,21 +214,24 @@ def _run_show(arguments: argparse.Namespace) -> int:
 
 def _run_chart(arguments: argparse.Namespace) -> int:
     from calib.core.errors import InputError
-    from calib.history.drawing import chart_rows, one_drawing
-    from calib.history.index import history
+    from calib.history.drawing import chart_rows, legend, one_drawing
     from calib.history.quantities import series
-    from calib.history.summary import ACCEPTED, since
+    from calib.history.summary import ACCEPTED
     from calib.stages.files import write_bytes
 
     accepted = arguments.accepted or ACCEPTED
-    entries = since(history(arguments.index, arguments.rig), arguments.repaired)
+    entries = _counting(arguments)
     if len(entries) <= accepted:
         raise InputError.single(
             where=arguments.rig,
             what=f"has {len(entries)} calibrations, of which {accepted} make the reference",
             remedy="calibrate it again, or give a smaller --accepted",
         )
-    picture = one_drawing(chart_rows(series(entries), accepted=accepted)).encode()
+    picture = one_drawing(
+        chart_rows(series(entries), accepted=accepted),
+        title=f"Rig {entries[0].rig}, calibrations from {entries[0].date} to {entries[-1].date}",
+        caption=legend(accepted=accepted, of="calibrations"),
+    ).encode()
     write_bytes(arguments.out, picture.replace(b"<svg ", b"<svg " + MARK, 1))
     print(f"{harmless(str(arguments.out))}: written")
     return 0
@@ -228,10 +239,9 @@ def _run_chart(arguments: argparse.Namespace) -> int:
 
 def _run_due(arguments: argparse.Namespace) -> int:
     from calib.core.errors import InputError
-    from calib.history.index import history
-    from calib.history.summary import due, due_text, since
+    from calib.history.summary import due, due_text, notes
 
-    entries = since(history(arguments.index, arguments.rig), arguments.repaired)
+    entries = _counting(arguments)
     found = due(entries, tolerance_mm=arguments.tolerance)
     if found is None:
         raise InputError.single(
@@ -240,30 +250,58 @@ def _run_due(arguments: argparse.Namespace) -> int:
             remedy="calibrate it again after an interval of your choice",
         )
     print(f"{harmless(arguments.rig)}: " + "\n".join(due_text(found)))
+    for note in notes(entries, accepted=0):
+        print(f"note: {note}")
     return 0
 
 
-def _run_page(arguments: argparse.Namespace) -> int:
+def _repairs(arguments: argparse.Namespace) -> dict[str, date]:
+    """Return the last repair of rigs that had one, as far as it is given."""
     from calib.core.errors import UsageError
+    from calib.history.entry import one_spelling
+    from calib.history.index import rigs
+    from calib.history.repairs import read_repairs
+
+    if arguments.repairs is not None:
+        known = {rig for rig, _, _ in rigs(arguments.index)}
+        return read_repairs(arguments.repairs, known=known)
+    if arguments.repaired is None:
+        return {}
+    if arguments.rig is None:
+        raise UsageError("--repaired: name the rig that was repaired; --repairs is of many")
+    return {one_spelling(arguments.rig): arguments.repaired}
+
+
+def _counting(arguments: argparse.Namespace) -> Sequence[Entry]:
+    """Return the calibrations of the rig that was asked for, since its last repair."""
+    from calib.history.index import history
+    from calib.history.summary import since
+
+    entries = history(arguments.index, arguments.rig)
+    return since(entries, _repairs(arguments).get(entries[0].rig))
+
+
+def _run_page(arguments: argparse.Namespace) -> int:
     from calib.history.index import history, rigs
     from calib.history.page import fleet_page, page_name, rig_page
-    from calib.history.summary import ACCEPTED, since
+    from calib.history.summary import ACCEPTED
     from calib.stages.files import make_folder, write_bytes
 
     asked = {"accepted": arguments.accepted or ACCEPTED, "tolerance_mm": arguments.tolerance}
-    if arguments.rig is None and arguments.repaired is not None:
-        raise UsageError("--repaired: name the rig that was repaired, by --rig")
+    repairs = _repairs(arguments)
     wanted = [arguments.rig] if arguments.rig else [rig for rig, _, _ in rigs(arguments.index)]
-    pages = {rig: since(history(arguments.index, rig), arguments.repaired) for rig in wanted}
+    histories = [history(arguments.index, rig) for rig in wanted]
+    pages = {entries[0].rig: entries for entries in histories}
     make_folder(arguments.out)
     names = [FLEET, *map(page_name, pages)]
     places = files_of(arguments.out, names, PAGES, option="--out", force=arguments.force)
     if arguments.rig is None or not places[FLEET].exists():
         fleet = [history(arguments.index, rig) for rig, _, _ in rigs(arguments.index)]
-        write_bytes(places[FLEET], fleet_page(fleet, **asked).encode())
+        write_bytes(places[FLEET], fleet_page(fleet, repairs=repairs, **asked).encode())
     for rig, entries in pages.items():
-        write_bytes(places[page_name(rig)], rig_page(entries, **asked).encode())
-    said = places[FLEET if arguments.rig is None else page_name(arguments.rig)]
+        one = rig_page(entries, repaired=repairs.get(rig), **asked)
+        write_bytes(places[page_name(rig)], one.encode())
+    said = places[FLEET if arguments.rig is None else page_name(next(iter(pages)))]
     print(f"{harmless(str(said))}: written")
     return 0
 

@@ -9,16 +9,29 @@ from __future__ import annotations
 from collections.abc import Sequence
 from datetime import UTC, date, datetime, timedelta
 from html import escape
+from textwrap import wrap
 
 import numpy as np
 
 from calib.core.arrays import BoolArray, FloatArray
-from calib.history.charts import Chart, charts, reference
+from calib.history.charts import (
+    CUSUM_LIMIT,
+    EWMA_LIMIT,
+    SHEWHART_LIMIT,
+    Chart,
+    charts,
+    reference,
+)
 from calib.history.quantities import Series
+from calib.results.wording import printable
 
 BLACK, GREY, PALE, BLUE, VERMILLION = "#1b1b1b", "#6b6b6b", "#e6e6e6", "#0072B2", "#D55E00"
 
 WIDTH, HEIGHT = 330, 160
+_HEADLINE, _LINE = 30, 15
+CAPTION_CHARACTERS = 140
+"""A line over three charts, in letters of common width."""
+
 _LEFT, _RIGHT, _TOP, _BOTTOM = 42.0, 322.0, 26.0, 136.0
 
 MANY = 300
@@ -45,11 +58,39 @@ def chart_rows(found: Sequence[Series], *, accepted: int) -> list[list[str]]:
     return rows
 
 
-def one_drawing(rows: Sequence[Sequence[str]]) -> str:
-    """Return all charts as one SVG document."""
-    width, height = max(map(len, rows)) * WIDTH, len(rows) * HEIGHT
+def legend(*, accepted: int, of: str) -> str:
+    """Return what the charts show, in words.
+
+    Parameters
+    ----------
+    accepted, of
+        How many make the reference, and what they are: calibrations or sessions.
+    """
+    first = f"mean of the first {accepted} {of}" if accepted > 1 else f"first of the {of}"
+    return (
+        f"Deviations from the reference (weighted {first}) of all that followed, in standard "
+        f"uncertainties. Dashed: limits, {SHEWHART_LIMIT:g} (Shewhart), {EWMA_LIMIT:g} (EWMA, in "
+        f"its own standard deviation) and {CUSUM_LIMIT:g} (CUSUM). Red squares are outside."
+    )
+
+
+def one_drawing(rows: Sequence[Sequence[str]], *, title: str, caption: str) -> str:
+    """Return all charts as one SVG document with a title and a caption."""
+    lines = wrap(printable(caption), CAPTION_CHARACTERS)
+    width, top = max(map(len, rows)) * WIDTH, _HEADLINE + _LINE * len(lines)
+    height = top + len(rows) * HEIGHT
+    font = f'font-family="DejaVu Sans, sans-serif" fill="{BLACK}"'
     placed = [
-        f'<g transform="translate({column * WIDTH} {line * HEIGHT})">\n{chart}\n</g>'
+        f'<text x="6" y="20" font-size="15" font-weight="bold" {font}>'
+        f"{escape(printable(title))}</text>",
+        *(
+            f'<text x="6" y="{_HEADLINE + _LINE * k + 8}" font-size="11" {font}>'
+            f"{escape(line)}</text>"
+            for k, line in enumerate(lines)
+        ),
+    ]
+    placed += [
+        f'<g transform="translate({column * WIDTH} {top + line * HEIGHT})">\n{chart}\n</g>'
         for line, row in enumerate(rows)
         for column, chart in enumerate(row)
     ]

@@ -13,6 +13,7 @@ import hashlib
 import os
 import re
 import tomllib
+import unicodedata
 from dataclasses import dataclass
 from datetime import UTC, date, datetime
 from pathlib import Path
@@ -84,6 +85,8 @@ class Entry:
     finished
         When the run ended, ISO 8601 in UTC, empty where unknown: the order of calibrations on one
         day.
+    has_serial
+        Whether a serial number is stated, for which the dataset's name stands in otherwise.
     """
 
     path: str
@@ -98,6 +101,7 @@ class Entry:
     covariance: FloatArray
     dataset_sha256: str
     finished: str
+    has_serial: bool
 
 
 class _Lenient(BaseModel):
@@ -169,10 +173,12 @@ def read_entry(folder: Path) -> Entry:
     finished = _finished(files)
     serial, dated = _certified(files, document.dataset.sha256)
     stated = document.rig.serial if document.rig is not None else None
+    named = one_spelling(stated) or one_spelling(serial)
     return Entry(
         path=str(folder),
         sha256=hashlib.sha256(content).hexdigest(),
-        rig=stated or serial or document.dataset.name,
+        rig=named or one_spelling(document.dataset.name),
+        has_serial=bool(named),
         date=_iso(dated or finished[:10] or _no_date()),
         dataset=document.dataset.name,
         model=m.model,
@@ -277,6 +283,11 @@ def _finished(files: _Files) -> str:
         return str(run["run"]["finished"])
     except (ValueError, KeyError, TypeError, RecursionError):
         return ""
+
+
+def one_spelling(text: str | None) -> str:
+    """Return a serial number without what nobody sees: spaces about it, two forms of a letter."""
+    return " ".join(unicodedata.normalize("NFC", text or "").split())
 
 
 def _no_date() -> str:

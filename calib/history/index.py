@@ -10,6 +10,7 @@ the folders were under the lock, whoever else writes.
 from __future__ import annotations
 
 import json
+import os
 import sqlite3
 from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
@@ -20,13 +21,13 @@ from typing import Any
 import numpy as np
 
 from calib.core.errors import InputError, UsageError
-from calib.history.entry import RESULT, Entry
+from calib.history.entry import RESULT, Entry, one_spelling
 from calib.history.scan import Seen, refuse_missing, scan
 
 WAIT_S = 60.0
 """For another writer; a transaction of 10,000 calibrations takes a tenth of it."""
 
-LAYOUT = 3
+LAYOUT = 4
 """Version of the tables; an index of another is made anew."""
 
 APPLICATION = 0x43414C49
@@ -36,7 +37,8 @@ _TABLE = """
 CREATE TABLE IF NOT EXISTS calibration (
   path TEXT PRIMARY KEY, sha256 TEXT NOT NULL, rig TEXT NOT NULL, date TEXT NOT NULL,
   dataset TEXT NOT NULL, model TEXT NOT NULL, near_mm REAL NOT NULL, far_mm REAL NOT NULL,
-  parameters TEXT NOT NULL, dataset_sha256 TEXT NOT NULL, finished TEXT NOT NULL) WITHOUT ROWID;
+  parameters TEXT NOT NULL, dataset_sha256 TEXT NOT NULL, finished TEXT NOT NULL,
+  has_serial INTEGER NOT NULL) WITHOUT ROWID;
 CREATE INDEX IF NOT EXISTS by_rig ON calibration (rig, date);
 CREATE TABLE IF NOT EXISTS stamp (path TEXT PRIMARY KEY, stamp TEXT NOT NULL) WITHOUT ROWID;
 """
@@ -71,15 +73,31 @@ class Indexed:
 
 
 @contextmanager
-def _opened(index: Path) -> Iterator[sqlite3.Connection]:
+def _opened(index: Path, *, options: str = "") -> Iterator[sqlite3.Connection]:
     try:
-        with closing(sqlite3.connect(index, timeout=WAIT_S, isolation_level=None)) as connection:
+        name = f"{index.absolute().as_uri()}{options}"
+        with closing(
+            sqlite3.connect(name, timeout=WAIT_S, isolation_level=None, uri=True)
+        ) as connection:
             yield connection
     except sqlite3.DatabaseError as error:
         raise UsageError(
             f"{index}: cannot be used ({error}); name another file with --index: an index is made "
             "anew from the folders of the runs"
         ) from error
+
+
+@contextmanager
+def _reading(index: Path) -> Iterator[sqlite3.Connection]:
+    """Open an index that is there, also one that may only be read."""
+    if not index.is_file():
+        raise InputError.single(
+            where=str(index), what="is not there", remedy="make it with calib history index DIR"
+        )
+    # Write-ahead logging has readers write beside the file. Where nobody may, nobody writes either.
+    shared = os.access(index.absolute().parent, os.W_OK) or Path(f"{index}-wal").exists()
+    with _opened(index, options="?mode=ro" if shared else "?immutable=1") as connection:
+        yield connection
 
 
 def _refuse_foreign(connection: sqlite3.Connection, index: Path) -> None:
@@ -126,11 +144,14 @@ def update(index: Path, roots: Sequence[Path]) -> Indexed:
         unreadable = [(p, s.fault) for p, s in seen.items() if s.fault and not s.has_failed]
         now = {p: before[p] for p, s in seen.items() if not (s.entry or s.fault)}
         now |= {e.path: e.sha256 for e in entries}
+        closed = [Path(path) for path, s in seen.items() if s.is_closed]
+        bad |= {p for p in before if any(Path(p).is_relative_to(c) for c in closed)}
         gone = _gone(before, roots, now) | (bad & set(before))
         connection.executemany("DELETE FROM calibration WHERE path=?", [(p,) for p in gone])
         connection.executemany("DELETE FROM stamp WHERE path=?", [(p,) for p in gone])
         connection.executemany(
-            "INSERT OR REPLACE INTO calibration VALUES (?,?,?,?,?,?,?,?,?,?,?)", map(_row, entries)
+            "INSERT OR REPLACE INTO calibration VALUES (?,?,?,?,?,?,?,?,?,?,?,?)",
+            map(_row, entries),
         )
         connection.executemany(
             "INSERT OR REPLACE INTO stamp VALUES (?,?)",
@@ -166,14 +187,21 @@ def _known(connection: sqlite3.Connection) -> dict[str, Seen]:
 def _gone(before: dict[str, str], roots: Sequence[Path], now: dict[str, str]) -> set[str]:
     """Return the paths whose calibration is no longer there."""
     tops, here = [root.resolve() for root in roots], set(now.values())
-    missing = [p for p in before if p not in now and not (Path(p) / RESULT).is_file()]
+    missing = [p for p in before if p not in now and not _may_be_there(Path(p) / RESULT)]
     return {p for p in missing if before[p] in here or any(Path(p).is_relative_to(t) for t in tops)}
+
+
+def _may_be_there(file: Path) -> bool:
+    try:
+        return file.is_file()
+    except OSError:  # nobody may look
+        return True
 
 
 def _row(e: Entry) -> tuple[str | float, ...]:
     parameters = json.dumps([e.names, e.values.tolist(), e.covariance.tolist()])
     head = (e.path, e.sha256, e.rig, e.date, e.dataset, e.model, *e.range_mm)
-    return *head, parameters, e.dataset_sha256, e.finished
+    return *head, parameters, e.dataset_sha256, e.finished, e.has_serial
 
 
 def _differences(
@@ -197,8 +225,7 @@ def _differences(
 
 def rigs(index: Path) -> list[tuple[str, int, str]]:
     """Return each rig's serial number, number of calibrations and date of the last, sorted."""
-    _must_exist(index)
-    with _opened(index) as connection:
+    with _reading(index) as connection:
         return connection.execute(
             "SELECT rig, COUNT(DISTINCT dataset_sha256), MAX(date) FROM calibration "
             "GROUP BY rig ORDER BY rig"
@@ -215,10 +242,10 @@ def history(index: Path, rig: str) -> list[Entry]:
     InputError
         If the rig is not in the index.
     """
-    _must_exist(index)
-    with _opened(index) as connection:
+    with _reading(index) as connection:
         rows = connection.execute(
-            "SELECT * FROM calibration WHERE rig=? ORDER BY date, finished, path", (rig,)
+            "SELECT * FROM calibration WHERE rig=? ORDER BY date, finished, path",
+            (one_spelling(rig),),
         ).fetchall()
     if not rows:
         raise InputError.single(
@@ -232,7 +259,7 @@ def history(index: Path, rig: str) -> list[Entry]:
 
 
 def _entry(row: tuple[Any, ...]) -> Entry:
-    path, sha256, rig, day, dataset, model, near, far, parameters, of, finished = row
+    path, sha256, rig, day, dataset, model, near, far, parameters, of, finished, named = row
     names, values, covariance = json.loads(parameters)
     return Entry(
         path=path,
@@ -247,11 +274,5 @@ def _entry(row: tuple[Any, ...]) -> Entry:
         covariance=np.array(covariance),
         dataset_sha256=of,
         finished=finished,
+        has_serial=bool(named),
     )
-
-
-def _must_exist(index: Path) -> None:
-    if not index.is_file():
-        raise InputError.single(
-            where=str(index), what="is not there", remedy="make it with calib history index DIR"
-        )

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from datetime import date
 from pathlib import Path
 
-from calib.core.errors import CalibError
+from calib.core.errors import CalibError, InputError
 from calib.history.charts import charts, reference
-from calib.history.drawing import chart_rows
+from calib.history.drawing import chart_rows, legend
 from calib.history.drift import drifts
 from calib.history.entry import Entry
 from calib.history.output import changes_tables
 from calib.history.quantities import series
 from calib.history.read import read_run
-from calib.history.summary import due, due_text, notes, show
+from calib.history.summary import due, due_text, notes, show, since
 from calib.report.plain_page import (
     Block,
     Cell,
@@ -32,42 +33,61 @@ GENERATOR = "calib history page"
 REPORT = "report.html"
 
 
-def rig_page(entries: Sequence[Entry], *, accepted: int, tolerance_mm: float | None) -> str:
+def rig_page(
+    history: Sequence[Entry],
+    *,
+    accepted: int,
+    tolerance_mm: float | None,
+    repaired: date | None = None,
+) -> str:
     """Return the page of one rig.
 
     Parameters
     ----------
-    entries
+    history
         Its calibrations in time order.
     accepted
         Calibrations that make the reference.
     tolerance_mm
         Largest tolerated error of a depth by drift; without it no due date is given.
+    repaired
+        Its last repair; calibrations before it do not count.
     """
+    entries, unknown = _counting(history, repaired)
     head, *rows = show(entries, accepted=accepted)
-    blocks: list[Block] = [
-        Paragraph(note)
-        for note in (*notes(entries, accepted=accepted), *_due(entries, tolerance_mm))
-    ]
-    blocks.append(PlainTable("Control charts", head, [_states(row) for row in rows]))
+    said = [*_state(entries, accepted), *notes(entries, accepted=accepted)]
+    # Calibrations of before the repair tell nothing of when the next one is due.
+    said = [f"{unknown}: what follows is of before."] if unknown else said
+    said += [] if unknown else _due(entries, tolerance_mm)
+    if repaired is not None and not unknown:
+        said.append(f"Repaired on {repaired}: calibrations before do not count.")
+    blocks: list[Block] = [Paragraph(text) for text in said]
+    # A note below its line: beside it, it would squeeze the figures.
+    lines = [cells for row in rows for cells in (_states(row[:-1]), [row[-1]]) if cells != [""]]
+    blocks.append(PlainTable("Control charts", head[:-1], lines))
     if len(entries) > accepted:
-        blocks.append(Drawing("Charts", chart_rows(series(entries), accepted=accepted)))
+        drawn = chart_rows(series(entries), accepted=accepted)
+        blocks.append(Drawing("Charts", drawn, legend(accepted=accepted, of="calibrations")))
     blocks += _last_change(entries)
     blocks.append(_calibrations(entries))
     return plain_page(f"Rig {entries[0].rig}", blocks, generator=GENERATOR)
 
 
 def fleet_page(
-    rigs: Sequence[Sequence[Entry]], *, accepted: int, tolerance_mm: float | None
+    rigs: Sequence[Sequence[Entry]],
+    *,
+    accepted: int,
+    tolerance_mm: float | None,
+    repairs: Mapping[str, date] | None = None,
 ) -> str:
     """Return the page of all rigs, those with alarms first; each leads to its own page."""
     rows: list[tuple[int, str, list[Cell]]] = []
-    for entries in rigs:
-        alarms = _alarms(entries, accepted)
+    for history in rigs:
+        entries, unknown = _counting(history, (repairs or {}).get(history[0].rig))
+        alarms = [unknown] if unknown else _alarms(entries, accepted)
         state = State("; ".join(alarms), good=False) if alarms else State("in control", good=True)
-        charted: Cell = state if len(entries) > accepted else "no chart yet"
-        found = None if tolerance_mm is None else due(entries, tolerance_mm=tolerance_mm)
-        day = "" if found is None else found[0].isoformat()
+        charted: Cell = state if alarms or len(entries) > accepted else "no chart yet"
+        day = "" if unknown or tolerance_mm is None else _day(entries, tolerance_mm)
         serial = entries[0].rig
         row: list[Cell] = [
             Link(serial, page_name(serial)), str(len(entries)), entries[-1].date, charted,
@@ -76,7 +96,7 @@ def fleet_page(
     head = ["rig", "calibrations", "last", "charts", *([] if tolerance_mm is None else ["due"])]
     table = PlainTable("", head, [row for _, _, row in sorted(rows, key=lambda r: r[:2])])
     number = sum(alarms < 0 for alarms, _, _ in rows)
-    said = f"{len(rows)} rigs, {number} with an alarm in any of their charts."
+    said = f"{len(rows)} rigs, {number} with an alarm."
     return plain_page("All rigs", [Paragraph(said), table], generator=GENERATOR)
 
 
@@ -104,8 +124,34 @@ def _alarms(entries: Sequence[Entry], accepted: int) -> list[str]:
     return found
 
 
+def _state(entries: Sequence[Entry], accepted: int) -> list[str]:
+    """Return whether the rig is in control, in words; nothing where there is no chart yet."""
+    if len(entries) <= accepted:
+        return []
+    alarms = _alarms(entries, accepted)
+    return [f"Alarm: {'; '.join(alarms)}." if alarms else "All charts are in control."]
+
+
 def _states(row: Sequence[str]) -> list[Cell]:
     return [State(cell, good=False) if cell.startswith("ALARM") else cell for cell in row]
+
+
+def _counting(
+    history: Sequence[Entry], repaired: date | None
+) -> tuple[Sequence[Entry], str | None]:
+    """Return the calibrations that count, or all of them and why none does."""
+    try:
+        return since(history, repaired), None
+    except InputError:
+        return history, f"Not calibrated since its repair on {repaired}"
+
+
+def _day(entries: Sequence[Entry], tolerance_mm: float) -> Cell:
+    found = due(entries, tolerance_mm=tolerance_mm)
+    if found is None:
+        return ""
+    day = found[0].isoformat()
+    return State(f"overdue {day}", good=False) if found[0] < date.today() else day
 
 
 def _due(entries: Sequence[Entry], tolerance_mm: float | None) -> list[str]:

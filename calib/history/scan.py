@@ -39,12 +39,15 @@ class Seen:
         Why it is not taken; empty if it is.
     has_failed
         Whether that is because its gates failed, and no fault of its files.
+    is_closed
+        Whether it cannot even be listed: what is below it is not known.
     """
 
     stamp: Stamp
     entry: Entry | None
     fault: str = ""
     has_failed: bool = False
+    is_closed: bool = False
 
 
 def refuse_missing(roots: Sequence[Path]) -> None:
@@ -56,15 +59,23 @@ def refuse_missing(roots: Sequence[Path]) -> None:
             )
 
 
-def calibrations_below(roots: Sequence[Path]) -> list[Path]:
-    """Return the folders with a calibration.json at or below `roots`, sorted, each once."""
+def calibrations_below(roots: Sequence[Path]) -> tuple[list[Path], dict[str, str]]:
+    """Return the folders with a calibration.json at or below `roots`, sorted, each once.
+
+    Beside them the folders that cannot be listed, each with the reason.
+    """
     found: set[Path] = set()
+    closed: dict[str, str] = {}
+
+    def note(error: OSError) -> None:
+        closed[str(error.filename)] = f"cannot be listed ({error.strerror or error})"
+
     for root in roots:
-        for at, folders, files in os.walk(root.resolve()):
+        for at, folders, files in os.walk(root.resolve(), onerror=note):
             folders[:] = [name for name in folders if not name.startswith(".")]
             if RESULT in files:
                 found.add(Path(at))
-    return sorted(found)
+    return sorted(found), closed
 
 
 def scan(
@@ -80,8 +91,9 @@ def scan(
     known
         What was seen before; a folder whose stamp is the same is not read again.
     """
-    found = {}
-    for folder in calibrations_below(roots):
+    folders, closed = calibrations_below(roots)
+    found = {path: Seen("", None, why, is_closed=True) for path, why in sorted(closed.items())}
+    for folder in folders:
         path = str(folder)
         try:
             path.encode()

@@ -10,7 +10,7 @@ from scipy.special import chdtrc, ndtri
 from calib.core.arrays import BoolArray
 from calib.history.causes import likely_causes
 from calib.history.charts import RUN_LENGTH, Chart
-from calib.history.drawing import chart_rows
+from calib.history.drawing import chart_rows, legend
 from calib.history.standard import Checked, chart_all, degrees_of_freedom, lasting
 from calib.report.plain_page import Block, Cell, Drawing, Paragraph, PlainTable, State, plain_page
 
@@ -149,7 +149,8 @@ def page(title: str, checked: Checked, *, accepted: int) -> str:
     ]
     blocks.append(PlainTable("", head, [_states(row) for row in rows]))
     if len(checked.dates) > accepted:
-        blocks.append(Drawing("Charts", chart_rows(checked.series(), accepted=accepted)))
+        drawn = chart_rows(checked.series(), accepted=accepted)
+        blocks.append(Drawing("Charts", drawn, legend(accepted=accepted, of="sessions")))
     lines = [
         [date, *(f"{value:.6g}" for value in values)]
         for date, values in zip(checked.dates, checked.values, strict=True)

@@ -61,6 +61,11 @@ def notes(entries: Sequence[Entry], *, accepted: int = ACCEPTED) -> list[str]:
             f"{len(entries)} calibrations on {days} days: if these are the days of computing, "
             "state date under [certificate] in each dataset.toml"
         )
+    if not all(e.has_serial for e in entries):
+        found.append(
+            "no serial number is stated: the name of the dataset stands in for it, and two rigs "
+            "of one name would be taken for one; state serial under [rig] in each dataset.toml"
+        )
     if _day(entries[-1].date) > date.today():
         found.append(f"the last calibration is dated in the future: {entries[-1].date}")
     models = sorted({e.model for e in entries})
@@ -115,6 +120,8 @@ def due_text(found: tuple[date, Due, Series]) -> list[str]:
     """Return a due date in words: the date, the method, the risk, and whether it is capped."""
     day, result, where = found
     when = f"due on {day}" if result.interval > 0 else "due at once"
+    if result.interval > 0 and day < date.today():
+        when += ", overdue"
     said = [f"{when}, decided by the {where.name}", f"{GUIDE}, {result.method}"]
     if result.risk is not None:
         said.append(f"probability of being out of tolerance then: {100 * result.risk:.1f} %")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
@@ -45,6 +46,7 @@ class Drawing:
 
     title: str
     rows: Sequence[Sequence[str]]
+    caption: str = ""
 
 
 @dataclass(frozen=True)
@@ -66,6 +68,7 @@ h2 { font-size: 1.05em; margin-bottom: 0; }
 table { border-collapse: collapse; width: max-content; max-width: max(100%, 58em); }
 th, td { padding: .2em .8em .2em 0; text-align: left; vertical-align: top;
   border-bottom: 1px solid var(--line); }
+.date { white-space: nowrap; }
 .bad { color: var(--bad); font-weight: bold; } .good { color: var(--good); }
 svg { max-width: 100%; height: auto; background: #fff; }
 .drawn { display: grid; grid-template-columns: repeat(auto-fit, minmax(min(100%, 19em), 1fr));
@@ -99,9 +102,10 @@ def _block(block: Block) -> str:
     match block:
         case Paragraph(text):
             return f"<p>{escape(text)}</p>"
-        case Drawing(title, rows):
+        case Drawing(title, rows, caption):
             drawn = "\n".join(f'<div class="drawn">{"".join(row)}</div>' for row in rows)
-            return f"<h2>{escape(title)}</h2>\n{drawn}"
+            said = f"<p>{escape(caption)}</p>\n" if caption else ""
+            return f"<h2>{escape(title)}</h2>\n{said}{drawn}"
         case PlainTable(title, head, rows):
             lines = [_line(head, "th", len(head)), *(_line(row, "td", len(head)) for row in rows)]
             heading = f"<h2>{escape(title)}</h2>\n" if title else ""
@@ -115,7 +119,20 @@ def _block(block: Block) -> str:
 def _line(cells: Sequence[Cell], kind: str, columns: int) -> str:
     if len(cells) == 1 < columns:
         return f'<tr><{kind} colspan="{columns}">{_cell(cells[0])}</{kind}></tr>\n'
-    return "<tr>" + "".join(f"<{kind}>{_cell(cell)}</{kind}>" for cell in cells) + "</tr>\n"
+    return (
+        "<tr>"
+        + "".join(f"<{kind}{_kept(cell)}>{_cell(cell)}</{kind}>" for cell in cells)
+        + "</tr>\n"
+    )
+
+
+def _kept(cell: Cell) -> str:
+    """Return the class of a cell that holds a date, which is not broken at its hyphens."""
+    text = cell.text if isinstance(cell, State) else cell
+    return ' class="date"' if isinstance(text, str) and _DATED.fullmatch(text) else ""
+
+
+_DATED = re.compile(r"(?:\w+ )?\d{4}-\d\d-\d\d")
 
 
 def _cell(cell: Cell) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from lxml import etree
 
-from calib.history.drawing import BLUE, LABELS, MANY, VERMILLION, chart_rows, one_drawing
+from calib.history.drawing import BLUE, LABELS, MANY, VERMILLION, chart_rows, legend, one_drawing
 from calib.history.quantities import Series
 
 BELOW = 140
@@ -61,6 +61,11 @@ def test_all_is_within_the_picture(number: int, days: int) -> None:
 
 def test_one_drawing_holds_all_charts() -> None:
     rows = chart_rows([rising(9), rising(9, name="<delta2 & more>")], accepted=3)
-    root = etree.fromstring(one_drawing(rows))
+    drawn = one_drawing(rows, title="Rig <\x1b&>", caption=legend(accepted=3, of="calibrations"))
+    root = etree.fromstring(drawn.encode())
     assert len(root.findall(f"{SVG}g/{SVG}svg")) == 6
     assert any(t.text == "<delta2 & more>: CUSUM" for t in root.iter(f"{SVG}text"))
+    said = " ".join(str(t.text) for t in root.findall(f"{SVG}text"))
+    assert said.startswith("Rig <\N{REPLACEMENT CHARACTER}&>")
+    assert "first 3 calibrations" in said
+    assert "4.77 (CUSUM)" in said

@@ -105,6 +105,37 @@ def test_pages_lead_to_all_rigs_alarms_first(tmp_path: Path) -> None:
     assert "ALARM" not in (out / "R000.html").read_text()
 
 
+def test_repairs_count_on_the_page_of_all_rigs(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Of three rigs in alarm one was repaired when its zero moved, one is not calibrated since."""
+    index = tmp_path / "h.sqlite"
+    update(index, [fleet(tmp_path / "runs", of=3, each=12, step=5e-3)])
+    moved = history(index, "R000")[6].date
+    repairs, out = tmp_path / "repairs.csv", tmp_path / "pages"
+    command = ["history", "page", "--index", str(index), "--out", str(out), "--tolerance", "20"]
+    command += ["--repairs", str(repairs)]
+    repairs.write_text(f"date,rig,note\n2020-01-02,R000,\n{moved},R000,belt\n2025-01-01,R001,\n")
+    assert main(command) == 0
+    text = (out / "index.html").read_text()
+    order = [text.index(f"R{number:03d}.html") for number in (2, 1, 0)]
+    assert order == sorted(order)
+    assert "Not calibrated since its repair on 2025-01-01" in text
+    assert text.count("in control") == 1
+    assert text.count("overdue 20") == 2
+    assert "All charts are in control" in (out / "R000.html").read_text()
+    assert "what follows is of before" in (out / "R001.html").read_text()
+    assert "Next calibration" not in (out / "R001.html").read_text()
+    repairs.write_text("date,rig\n2020-01-02,R0\nlately,R001\n")
+    assert main(command) == 2
+    said = capsys.readouterr().err
+    assert "repairs.csv:2: no rig 'R0'" in said
+    assert "repairs.csv:3: 'lately'" in said
+    repairs.write_text("when,rig\n")
+    assert main(command) == 2
+    assert "no column date" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     "serial", ["../../etc", "a/b", "index", "", ".", "a b", "\N{GREEK SMALL LETTER ALPHA}"]
 )
@@ -128,12 +159,15 @@ def test_no_serial_obeys_or_vanishes(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert not out.exists()
 
 
-def test_a_date_far_ahead_is_told(tmp_path: Path) -> None:
+def test_a_date_far_ahead_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for year in (1, 5000, 9999):
         written(tmp_path / "runs" / str(year), TRUTH, rig="R", day=date(year, 12, 31))
     update(tmp_path / "i.sqlite", [tmp_path / "runs"])
     entries = history(tmp_path / "i.sqlite", "R")
     assert any("in the future" in note for note in notes(entries))
+    command = ["history", "due", "R", "--tolerance", "1e6", "--index", str(tmp_path / "i.sqlite")]
+    assert main(command) == 0
+    assert "in the future" in capsys.readouterr().out
     found = due(entries, tolerance_mm=1e6)
     assert found is not None
     assert found[0] == date.max

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import shutil
 import signal
@@ -160,6 +161,45 @@ def test_a_folder_whose_name_is_no_text_is_told_and_the_others_are_taken(tmp_pat
     assert "UTF-8" in fault
 
 
+def test_what_cannot_be_listed_is_told_and_not_called_deleted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    top, index = tmp_path / "runs", tmp_path / "i.sqlite"
+    for name in ("one", "two"):
+        fleet(top / name, of=1, each=2)
+    assert update(index, [top]).calibrations == 4
+    scandir = os.scandir
+
+    def closed(path: str) -> object:
+        if Path(path) == top / "two":
+            raise PermissionError(errno.EACCES, "Permission denied", path)
+        return scandir(path)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(os, "scandir", closed)
+        found = update(index, [top])
+    assert (found.calibrations, found.deleted) == (2, ())
+    assert found.unreadable == ((str(top / "two"), "cannot be listed (Permission denied)"),)
+    assert update(index, [top]).calibrations == 4
+
+
+def test_an_index_that_may_only_be_read_is_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Readers of a write-ahead log write beside it, which the owner of a share may not allow."""
+    folder = tmp_path / "a ?%20#share"
+    folder.mkdir()
+    index = folder / "i.sqlite"
+    update(index, [fleet(tmp_path / "runs", of=1, each=3)])
+    index.chmod(0o444)
+    folder.chmod(0o555)
+    # For root, who may write anywhere.
+    monkeypatch.setattr("calib.history.index.os.access", lambda *_: False)
+    assert len(history(index, "R000")) == 3
+    assert [path.name for path in folder.iterdir()] == ["i.sqlite"]
+    folder.chmod(0o755)
+
+
 def test_calibrations_elsewhere_are_kept(tmp_path: Path) -> None:
     index = tmp_path / "i.sqlite"
     one = fleet(tmp_path / "one", of=1, each=2)
@@ -189,6 +229,25 @@ def test_the_rig_is_that_of_json_then_certificate_then_dataset(tmp_path: Path) -
     assert {(rig, day) for rig, _, day in rigs(index)} == {
         ("A1", "2019-05-06"), ("C1", "2019-05-06"), ("my-rig", "2019-05-06"),
     }  # fmt: skip
+
+
+def test_what_nobody_sees_makes_no_other_rig(tmp_path: Path) -> None:
+    """Spaces, and letters with an accent of their own."""
+    serials = [
+        "R\N{LATIN SMALL LETTER E WITH ACUTE} 1",
+        " Re\N{COMBINING ACUTE ACCENT}\t1 ",
+        "r1",
+        " ",
+    ]
+    for k, serial in enumerate(serials):
+        written(tmp_path / "runs" / str(k), TRUTH, rig=serial, day=date(2021, 1, 1 + k))
+    index = tmp_path / "i.sqlite"
+    update(index, [tmp_path / "runs"])
+    assert [(rig, number) for rig, number, _ in rigs(index)] == [
+        ("R\N{LATIN SMALL LETTER E WITH ACUTE} 1", 2), ("my-rig", 1), ("r1", 1),
+    ]  # fmt: skip
+    assert any("no serial number" in note for note in notes(history(index, "my-rig")))
+    assert not any("no serial number" in note for note in notes(history(index, "r1")))
 
 
 PROGRAM = "import sys; from calib.cli.main import main; sys.exit(main())"

@@ -116,6 +116,8 @@ pip --no-deps --require-hashes -r "$lock" ||
 # Environments of earlier sets hold the distribution under its former name, and SCS.
 $venv/bin/python -m pip uninstall --quiet --yes calib scs >/dev/null 2>&1 || true
 pip --no-deps --no-build-isolation -e . || { why; fail "pip could not install calib itself"; }
+# Where Python may write no compiled modules beside sources, each start would compile them all anew.
+$venv/bin/python -m compileall -q calib || true
 # The dev set contains the runtime set, pinned alike.
 printf '%s' "$wanted" >"$stamp"
 [ "$level" = dev ] && printf '%s' "$(cat requirements.lock pyproject.toml tools/setup.sh | sha256sum)" >$venv/.ready-runtime

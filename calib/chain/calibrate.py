@@ -52,6 +52,9 @@ from calib.stages.manifest import run_fingerprint
 from calib.stages.owner import claim
 from calib.stages.store import Staged, Store, gather, given, optional, stage
 
+LONG_CHAINS = 1000
+"""Rows from which on a chain takes longer than the start of the process that computes it."""
+
 
 @dataclass(frozen=True)
 class Options:
@@ -221,14 +224,15 @@ def _gaze_chain(
     robust = {model: run(stage(f"{model}/robust", fit_model, rows, priors, model=model))
               for model in MODELS}
     # fmt: on
-    posterior = store.run_parallel(
+    posterior = store.run_all(
         {
             model: stage(
                 f"{model}/posterior", sample_posterior, rows, fit, priors, seed=options.seed
             )
             for model, fit in robust.items()
             if fit.failed is None
-        }
+        },
+        side_by_side=len(rows.value) >= LONG_CHAINS,
     )
     every = {"base/linear": linear, "base/convex": convex}
     every |= {f"{name}/robust": fit for name, fit in robust.items()}

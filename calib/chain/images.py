@@ -101,7 +101,7 @@ def image_stages(dataset: Dataset, store: Store, seed: int) -> ImageStages:
             f"contact sheet {camera}", contact_sheet, folder, asked, corners[camera],
         ))
         # fmt: on
-    intrinsics: Mapping[str, Staged[Intrinsics]] = store.run_parallel(
+    intrinsics: Mapping[str, Staged[Intrinsics]] = store.run_all(
         {
             camera: stage(
                 f"intrinsics {camera}", images_stages.intrinsics,

@@ -39,10 +39,6 @@ ROUGH = 1e-3
 ROUGH_ROWS = 20_000
 """Rows that are enough for that: they tell the scale to half a percent."""
 
-MANY_ROWS = 2000
-"""Rows from which Newton steps settle the estimate: so many average the rows' second derivatives,
-which a step leaves out or knows at its start only."""
-
 SPARE_ROWS = 3
 """Rows beyond the parameters: fewer leave the noise scale to its prior."""
 
@@ -205,7 +201,7 @@ def fit_robust(
         problem = replace(
             problem, rows=rows.take(~rejected) if rejected.any() else rows, tails=CLEAN
         )
-    final = problem.settle_near(found.theta, found.scale) if len(rows) >= MANY_ROWS else None
+    final = problem.settle_near(found.theta, found.scale)
     if final is None:
         final = problem.solve(found.theta, found.scale)
     final = replace(final, evaluations=found.evaluations + final.evaluations)

@@ -88,13 +88,19 @@ class Store:
         for folder in (self.out, self.out / CACHE):
             clear_partial(folder)
 
-    def run_parallel(self, steps: Mapping[str, Step[T]]) -> dict[str, Staged[T]]:
+    def run_all(
+        self, steps: Mapping[str, Step[T]], *, side_by_side: bool = True
+    ) -> dict[str, Staged[T]]:
         """Return the outcomes of stages that do not need each other, by the keys of `steps`.
 
-        They are computed at the same time, as far as there are processors.
+        Parameters
+        ----------
+        side_by_side
+            Whether they take so long that a process of its own is worth its start: then they are
+            computed at the same time, as far as there are processors.
         """
         missing = [s for s in steps.values() if not self._has(s) and s.failed is None]
-        workers = min(len(missing), processors())
+        workers = min(len(missing), processors()) if side_by_side else 1
         if workers > 1:
             self._run_workers(missing, workers)
         return {key: self.run(step) for key, step in steps.items()}

@@ -24,6 +24,9 @@ import numpy as np
 import pytest
 from short_chain import Started, dataset, starter
 
+from calib.chain.calibrate import LONG_CHAINS
+from calib.simulate.contents import SimulationOptions
+from calib.simulate.dataset import simulate_dataset
 from calib.stages.files import PARTIAL
 from calib.stages.stage_file import SEAL_BYTES
 
@@ -175,7 +178,8 @@ def test_second_run_on_the_same_out_is_refused(
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM], ids=lambda s: s.name)
 def test_interrupted_with_chains_side_by_side(how: signal.Signals, tmp_path: Path) -> None:
     """As a terminal does and as a system does: the first tells workers too, the second does not."""
-    data, out = dataset(tmp_path / "data"), tmp_path / "out"
+    data, out = tmp_path / "data", tmp_path / "out"
+    simulate_dataset(data, SimulationOptions(seed=1, rows=LONG_CHAINS))
     calib = Path(sys.executable).with_name("calib")
     with subprocess.Popen(
         [calib, "calibrate", data, "--out", out],

@@ -52,10 +52,10 @@ def test_outcomes_are_those_of_one_process(
     wanted = steps("draw", "draw", "draw", seed=7)
     told: list[object] = []
     apart = Store(tmp_path / "2", told.append, lambda *step: told.append(step))
-    several = apart.run_parallel(wanted)
+    several = apart.run_all(wanted)
     monkeypatch.setattr(calib.stages.store, "processors", lambda: 1)
     alone = Store(tmp_path / "1")
-    one = alone.run_parallel(wanted)
+    one = alone.run_all(wanted)
     for key in wanted:
         assert np.array_equal(several[key].value.values, one[key].value.values)
     files = sorted((tmp_path / "1" / ".stages").iterdir())
@@ -72,36 +72,36 @@ def test_outcomes_are_those_of_one_process(
 
 
 def test_each_processor_has_one_at_a_time(tmp_path: Path) -> None:
-    done = Store(tmp_path).run_parallel(steps(*["place"] * 4))
+    done = Store(tmp_path).run_all(steps(*["place"] * 4))
     where = [staged.value.process for staged in done.values()]
     assert len(set(where)) == 2
     assert os.getpid() not in where
 
 
 def test_one_missing_stage_needs_no_other_process(tmp_path: Path) -> None:
-    Store(tmp_path).run_parallel(steps("draw", "draw", seed=1))
+    Store(tmp_path).run_all(steps("draw", "draw", seed=1))
     store = Store(tmp_path)
-    done = store.run_parallel(steps("draw", "draw", seed=1) | steps("place"))
+    done = store.run_all(steps("draw", "draw", seed=1) | steps("place"))
     assert done["place0"].value.process == os.getpid()
     assert store.reused == ["0/draw", "1/draw"]
     assert list(store.durations) == ["0/place"]
 
 
 def test_refusal_is_an_outcome(tmp_path: Path) -> None:
-    done = Store(tmp_path).run_parallel(steps("refuse", "place"))
+    done = Store(tmp_path).run_all(steps("refuse", "place"))
     assert done["refuse0"].failed == "5 numbers are too few"
     assert done["place1"].failed is None
     again = Store(tmp_path)
-    assert again.run_parallel(steps("refuse", "place"))["refuse0"].failed == "5 numbers are too few"
+    assert again.run_all(steps("refuse", "place"))["refuse0"].failed == "5 numbers are too few"
     assert again.reused == ["0/refuse", "1/place"]
 
 
 def test_input_that_failed_fails_what_needs_it(tmp_path: Path) -> None:
     store = Store(tmp_path)
-    refused = store.run_parallel(steps("refuse"))["refuse0"]
+    refused = store.run_all(steps("refuse"))["refuse0"]
     names = ("x", "y")
     after = {n: Step(n, stages_apart.place, (refused,)) for n in names}
-    done = store.run_parallel(after | steps("place"))
+    done = store.run_all(after | steps("place"))
     assert {done[n].failed for n in names} == {"5 numbers are too few"}
     assert done["place0"].failed is None
 
@@ -109,7 +109,7 @@ def test_input_that_failed_fails_what_needs_it(tmp_path: Path) -> None:
 def test_killed_worker_is_named_and_the_rest_kept(tmp_path: Path) -> None:
     wanted = steps("draw", seed=1) | {"die1": Step("1/die", stages_apart.die, (NUMBERS,))}
     with pytest.raises(CalibError, match=r"1/die: its process was killed \(SIGKILL\), as systems"):
-        Store(tmp_path).run_parallel(wanted)
+        Store(tmp_path).run_all(wanted)
     assert [p.name for p in (tmp_path / ".stages").iterdir()] == ["0--draw.h5"]
     assert_no_children()
 
@@ -117,7 +117,7 @@ def test_killed_worker_is_named_and_the_rest_kept(tmp_path: Path) -> None:
 def test_ended_worker_is_named_without_a_traceback(tmp_path: Path) -> None:
     wanted = steps("draw", seed=1) | {"end1": Step("1/end", stages_apart.be_ended, (NUMBERS,))}
     with pytest.raises(CalibError, match=r"1/end: .* ended from outside \(SIGTERM\); run again"):
-        Store(tmp_path).run_parallel(wanted)
+        Store(tmp_path).run_all(wanted)
     assert [p.name for p in (tmp_path / ".stages").iterdir()] == ["0--draw.h5"]
 
 
@@ -129,13 +129,13 @@ def test_misspelt_setting_is_found_before_anything_runs() -> None:
 def test_defect_shows_its_traceback(tmp_path: Path) -> None:
     wanted = steps("break_down", "place")
     with pytest.raises(RuntimeError, match=r"(?s)0/break_down failed.*KeyError: 'nothing'"):
-        Store(tmp_path).run_parallel(wanted)
+        Store(tmp_path).run_all(wanted)
     assert_no_children()
 
 
 def test_refused_input_keeps_its_words(tmp_path: Path) -> None:
     with pytest.raises(CalibError) as caught:
-        Store(tmp_path).run_parallel(steps("mislead", "mislead"))
+        Store(tmp_path).run_all(steps("mislead", "mislead"))
     assert str(caught.value) == "a.png: is no picture of 5; send another\nb.png: as bad; as well"
     assert caught.value.exit_status == 2
     assert_no_children()
@@ -143,7 +143,7 @@ def test_refused_input_keeps_its_words(tmp_path: Path) -> None:
 
 def test_worker_that_ends_is_a_defect(tmp_path: Path) -> None:
     with pytest.raises(RuntimeError, match="leave: its process ended with status 7"):
-        Store(tmp_path).run_parallel(steps("leave", "leave"))
+        Store(tmp_path).run_all(steps("leave", "leave"))
     assert_no_children()
 
 
@@ -153,7 +153,7 @@ def test_interruption_ends_the_workers(tmp_path: Path) -> None:
 
     started = time.perf_counter()
     with pytest.raises(KeyboardInterrupt):
-        Store(tmp_path / "out", progress=interrupt).run_parallel(lingering(tmp_path))
+        Store(tmp_path / "out", progress=interrupt).run_all(lingering(tmp_path))
     assert time.perf_counter() - started < PATIENCE_S
     assert_no_children()
 
@@ -166,7 +166,7 @@ def test_interruption_ends_what_a_stage_has_started(tmp_path: Path) -> None:
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        Store(tmp_path / "out", progress=interrupt).run_parallel(
+        Store(tmp_path / "out", progress=interrupt).run_all(
             lingering(tmp_path, "call_out", ("0", "1"))
         )
     assert_no_children()
@@ -220,7 +220,7 @@ def linger(folder: Path) -> None:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(step_module, "code_fingerprint", lambda _: "code")
         patch.setattr(calib.stages.store, "processors", lambda: 2)
-        Store(folder / "out").run_parallel(lingering(folder))
+        Store(folder / "out").run_all(lingering(folder))
 
 
 def lingering(

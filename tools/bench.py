@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Timings as ratios, side by side in one run: what the program adds, and what its methods gain.
 
-Usage: tools/bench.py [NAME...]   (all of them without a name)
+Usage: tools/bench.py [NAME...]   (without a name all but batch, which takes a quarter of an hour)
 
 CPU seconds; `make bench` sees to it that BLAS takes one thread. On a machine that does other
 things too, compare ratios within one run only; they are good to some 15 %.
@@ -25,6 +25,7 @@ import cv2
 import emcee
 import numpy as np
 from bench_calls import KINDS, measure_run
+from bench_history import DATASETS, batches, index_and_pages
 from bench_lenses import achieved
 from numpy.random import SeedSequence
 
@@ -258,6 +259,36 @@ def guidance() -> list[Line]:
     ]
 
 
+def history() -> list[Line]:
+    """Time the index of a fleet and its pages, as commands."""
+    found = index_and_pages(PROJECT / "datasets" / "xu-wang-2017")
+    wanted = {"index": "30 s", "page": "1 s"}
+    return [
+        Line(f"{what} (CPU {t.cpu:.1f} s)", f"{t.clock:.1f} s", wanted.get(what.split()[0], ""))
+        for what, t in found.items()
+    ]
+
+
+def batch() -> list[Line]:
+    """Compare a batch on one worker of a local Dask cluster with one on two.
+
+    On a machine with other work the ratio by the clock is that of the shares it gives to one
+    process and to two; what the program itself loses is the time in which workers wait.
+    """
+    one, two = batches()
+    return [
+        Line(f"{DATASETS} datasets on one worker, by the clock", f"{one.took.clock:.0f} s", ""),
+        Line("on two workers", f"{two.took.clock:.0f} s", ""),
+        Line("ratio", f"{one.took.clock / two.took.clock:.2f}", "1.80"),
+        Line("CPU of the two over that of the one", f"{two.took.cpu / one.took.cpu:.2f}", ""),
+        Line("one worker calibrates, of its time", f"{100 * one.busy:.1f} %", ""),
+        Line("two workers calibrate, of their time", f"{100 * two.busy:.1f} %", ""),
+    ]
+
+
+LONG = {"batch"}
+"""A quarter of an hour; only by name."""
+
 PARTS = {
     "robust": robust,
     "posterior": posterior,
@@ -265,6 +296,8 @@ PARTS = {
     "guidance": guidance,
     "lenses": lenses,
     "pipeline": pipeline,
+    "history": history,
+    "batch": batch,
 }
 
 
@@ -276,7 +309,7 @@ def main(names: list[str]) -> int:
         return 2
     warnings.simplefilter("ignore")
     print(json.dumps({"cpus": os.cpu_count(), "ensembles": ENSEMBLES}))
-    for name in names or PARTS:
+    for name in names or [name for name in PARTS if name not in LONG]:
         for line in PARTS[name]():
             wanted = f"(to reach: {line.wanted})" if line.wanted else ""
             print(f"{line.what:56s} {line.figure:>10s}  {wanted}", flush=True)

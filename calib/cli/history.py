@@ -184,6 +184,8 @@ def _run_index(arguments: argparse.Namespace) -> int:
         if len(paths) > SHOWN:
             print(f"  {kind}: and {len(paths) - SHOWN} more")
     print(f"{harmless(str(arguments.index))}: {found.calibrations} calibrations found")
+    if not (found.calibrations or found.failed or found.unreadable):
+        print("calib: no calibrations there: calib calibrate or batch first", file=sys.stderr)
     if found.unreadable:
         number = len(found.unreadable)
         print(f"calib: {number} calibration(s) are not indexed, see above", file=sys.stderr)

@@ -94,9 +94,11 @@ def _reading(index: Path) -> Iterator[sqlite3.Connection]:
         raise InputError.single(
             where=str(index), what="is not there", remedy="make it with calib history index DIR"
         )
-    # Write-ahead logging has readers write beside the file. Where nobody may, nobody writes either.
-    shared = os.access(index.absolute().parent, os.W_OK) or Path(f"{index}-wal").exists()
-    with _opened(index, options="?mode=ro" if shared else "?immutable=1") as connection:
+    # Write-ahead logging has readers write beside the file, unless nothing is in the log and they
+    # say that nobody else writes.
+    log = Path(f"{index}-wal")
+    shared = os.access(index.absolute().parent, os.W_OK) or (log.exists() and log.stat().st_size)
+    with _opened(index, options="" if shared else "?immutable=1") as connection:
         yield connection
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from datetime import date
 
 import numpy as np
 from scipy.special import chdtrc, ndtri
@@ -18,6 +19,10 @@ GENERATOR = "calib history check"
 
 FITS = 0.01
 """A cause is named while changes as large as what it leaves over are no rarer by chance."""
+
+UNITS_MM = {"m": 1000.0, "cm": 10.0, "inches": 25.4, "micrometres": 1e-3}
+UNIT_SLACK = 0.05
+"""No rig that is off by as much as one of these factors is off by it to within this."""
 
 HEAD = ["quantity", "certified", "last", "u", "deviation / U", "Shewhart", "EWMA", "CUSUM"]
 
@@ -105,17 +110,30 @@ def findings(checked: Checked, *, accepted: int) -> list[str]:
     if outside:
         said.append(
             f"{', '.join(outside)}: differs from the certificate by more than the 95 % "
-            "uncertainties together"
+            "uncertainties together" + _other_unit(checked)
         )
     return said
 
 
+def _other_unit(checked: Checked) -> str:
+    """Return that the certificate is in another unit, if all values say so; else nothing."""
+    ratio = checked.values[-1] / checked.certified
+    for unit, factor in UNITS_MM.items():
+        if np.all(np.abs(ratio / factor - 1) < UNIT_SLACK):
+            return f"; its values seem to be in {unit}: write them in mm"
+    return ""
+
+
 def notes(checked: Checked, *, accepted: int) -> list[str]:
     """Return what is to be known of the record beside its findings."""
+    last, found = checked.dates[-1], []
+    if date.fromisoformat(last[:10]) > date.today():
+        found.append(f"the last session is dated in the future: {last}")
     if len(checked.dates) <= accepted:
-        return [f"{len(checked.dates)} of {accepted} sessions at acceptance: no chart yet"]
+        text = f"{len(checked.dates)} of {accepted} sessions at acceptance: no chart yet"
+        return [*found, text]
     words, is_alarm = earlier(checked, accepted=accepted)
-    return [words] if words and not is_alarm else []
+    return [*found, words] if words and not is_alarm else found
 
 
 def _causes(checked: Checked, accepted: int, since: int) -> list[str]:
@@ -152,8 +170,8 @@ def page(title: str, checked: Checked, *, accepted: int) -> str:
         drawn = chart_rows(checked.series(), accepted=accepted)
         blocks.append(Drawing("Charts", drawn, legend(accepted=accepted, of="sessions")))
     lines = [
-        [date, *(f"{value:.6g}" for value in values)]
-        for date, values in zip(checked.dates, checked.values, strict=True)
+        [day, *(f"{value:.6g}" for value in values)]
+        for day, values in zip(checked.dates, checked.values, strict=True)
     ]
     blocks.append(PlainTable("Sessions", ["date", *checked.names], lines[::-1]))
     return plain_page(title, blocks, generator=GENERATOR)

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import logging
+
 import numpy as np
 import pytest
 
 from calib.history.due import FEWEST, LONGEST, RANDOM_WALK, RISK, STAIRCASE, _filtered, next_due
+
+LOG = logging.getLogger(__name__)
+"""Shown by pytest --log-cli-level=INFO."""
 
 
 def out_of_tolerance(
@@ -62,6 +67,10 @@ def test_out_of_tolerance_at_the_date(
         np.random.default_rng(calibrations),
         calibrations=calibrations, fleet=1500, jumps=jumps, tolerance=tolerance,
         repairs=repairs,
+    )  # fmt: skip
+    LOG.info(
+        "%d calibrations, tolerance %g u, jumps %g, repairs %g: out of tolerance %.1f %%",
+        calibrations, tolerance, jumps, repairs, 100 * share,
     )  # fmt: skip
     # Where jumps and the risk decide together 6 % is what is stated, here of a sample.
     allowed = 2 * np.sqrt(0.06 * 0.94 / 1500) if (tolerance, jumps) == (1.3, 0.02) else 0.0

@@ -197,7 +197,10 @@ def test_an_index_that_may_only_be_read_is_read(
     monkeypatch.setattr("calib.history.index.os.access", lambda *_: False)
     assert len(history(index, "R000")) == 3
     assert [path.name for path in folder.iterdir()] == ["i.sqlite"]
+    monkeypatch.undo()
     folder.chmod(0o755)
+    assert len(history(index, "R000")) == 3
+    assert [path.name for path in folder.iterdir()] == ["i.sqlite"]
 
 
 def test_calibrations_elsewhere_are_kept(tmp_path: Path) -> None:

@@ -69,7 +69,7 @@ def readings(
             scale = 1 + lens * changed
             x, y = gaze.x1c[k] * scale + U_X * rng.standard_normal(), gaze.y1c[k] * scale
             reading = np.rad2deg(gaze.alpha2[k] + U_ALPHA * rng.standard_normal())
-            writer.writerow([date(2026, 1, 1) + timedelta(days=day), name, x, y, reading])
+            writer.writerow([date(2020, 1, 1) + timedelta(days=day), name, x, y, reading])
     return text.getvalue()
 
 
@@ -113,7 +113,7 @@ def test_a_change_is_found_and_its_cause_named(
     assert 15 <= at <= 22
     said = findings(checked, accepted=10)
     assert "the rig has changed" in said[0]
-    assert f"since 2026-01-{at + 1:02d}" in said[0]
+    assert f"since 2020-01-{at + 1:02d}" in said[0]
     assert said[1].startswith("likely cause")
     assert CAUSES[which].name in said[1]
     size = float(said[1].split(CAUSES[which].name + ", by ")[1].split()[0])
@@ -151,7 +151,7 @@ def test_command(
     command = ["history", "check", str(file), str(tmp_path / "s.toml"), str(table)]
     assert main([*command, "--out", str(page)]) == 0
     out = capsys.readouterr().out
-    assert "Check standard bar-3: 8 sessions, 2026-01-01 to 2026-01-08" in out
+    assert "Check standard bar-3: 8 sessions, 2020-01-01 to 2020-01-08" in out
     assert "ALARM" not in out
     assert "in control" in page.read_text()
     assert page.read_text().count("<svg") == 6
@@ -164,19 +164,19 @@ def test_command(
     table.write_text(readings(np.random.default_rng(3), 12, since=8, change={"delta2_rad": 2e-3}))
     assert main([*command, "--out", str(page)]) == 3
     assert "the encoder's zero has slipped" in capsys.readouterr().out
-    assert "ALARM 2026-01-09" in page.read_text()
+    assert "ALARM 2020-01-09" in page.read_text()
 
 
 @pytest.mark.parametrize(
     ("change", "told"),
     [
-        (("2026-01-02,A", "2026-13-02,A"), "line 6, column date"),
-        (("2026-01-02,A", "2026-01-02T08:00+01:00,A"), "local time"),
-        (("2026-01-02,A", "2026-01-02,E"), "A is not read"),
-        (("2026-01-02,A", "2026-01-02,B"), "B is read twice|A is not read|twice"),
+        (("2020-01-02,A", "2020-13-02,A"), "line 6, column date"),
+        (("2020-01-02,A", "2020-01-02T08:00+01:00,A"), "local time"),
+        (("2020-01-02,A", "2020-01-02,E"), "A is not read"),
+        (("2020-01-02,A", "2020-01-02,B"), "B is read twice|A is not read|twice"),
         (("date,", "day,"), "no column date"),
-        (("2026-01-02,B", "20260102T0000,A"), "A is read twice at 2026-01-02"),
-        (("2026-01-02,A", f"2026-01-02,{'A' * 200_000}"), "is no table"),
+        (("2020-01-02,B", "20200102T0000,A"), "A is read twice at 2020-01-02"),
+        (("2020-01-02,A", f"2020-01-02,{'A' * 200_000}"), "is no table"),
     ],
 )
 def test_bad_tables_are_refused_by_place(
@@ -188,9 +188,9 @@ def test_bad_tables_are_refused_by_place(
 
 
 def test_a_time_after_a_blank_is_a_time(measuring: Measuring) -> None:
-    text = readings(np.random.default_rng(0), 3).replace("2026-01-02,", "2026-01-02 08:00,")
+    text = readings(np.random.default_rng(0), 3).replace("2020-01-02,", "2020-01-02 08:00,")
     assert check_standard(measuring, standard(), text, name="r.csv").dates == (
-        "2026-01-01", "2026-01-02T08:00:00", "2026-01-03",
+        "2020-01-01", "2020-01-02T08:00:00", "2020-01-03",
     )  # fmt: skip
 
 
@@ -198,7 +198,7 @@ def test_two_targets_at_one_place_are_refused(measuring: Measuring) -> None:
     """A length of 0 has no u, and charts of nan never alarm."""
     rows = readings(np.random.default_rng(0), 3).splitlines()
     rows[2] = rows[1].replace(",A,", ",B,")
-    with pytest.raises(InputError, match="2026-01-01: A and B have the same readings"):
+    with pytest.raises(InputError, match="2020-01-01: A and B have the same readings"):
         check_standard(measuring, standard(), "\n".join(rows), name="r.csv")
 
 
@@ -260,4 +260,20 @@ def test_a_knock_that_was_undone_is_an_alarm(measuring: Measuring) -> None:
     lines[day] = other[day]
     checked = check_standard(measuring, standard(), "\n".join(lines), name="t")
     said = findings(checked, accepted=10)
-    assert any("2026-01-31 a deviation was larger than chance" in one for one in said)
+    assert any("2020-01-31 a deviation was larger than chance" in one for one in said)
+
+
+def test_a_certificate_in_another_unit_and_a_date_to_come_are_named(measuring: Measuring) -> None:
+    text = readings(np.random.default_rng(3), 2)
+    for unit, factor in (("cm", 10.0), ("inches", 25.4), ("mm", 1.0), ("nothing", 12.0)):
+        made = standard().model_dump(by_alias=True)
+        for kind, key in (("length", "length_mm"), ("depth", "z_mm")):
+            for one in made[kind]:
+                one[key] /= factor
+        checked = check_standard(measuring, Standard(**made), text, name="t")
+        said = " ".join(findings(checked, accepted=5))
+        assert ("differs from the certificate" in said) == (unit != "mm")
+        assert ("seem to be in" in said) == (unit in ("cm", "inches"))
+        assert unit not in ("cm", "inches") or f"in {unit}: write them in mm" in said
+    ahead = check_standard(measuring, standard(), text.replace("2020-", "9020-"), name="t")
+    assert any("in the future" in note for note in notes(ahead, accepted=5))

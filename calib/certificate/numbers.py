@@ -208,9 +208,10 @@ def parameter_results(calibration: CalibrationSummary) -> tuple[Result, ...]:
 
 
 def _factor(p: ParameterKnowledge) -> float | None:
-    if p.degrees_of_freedom is None or p.draws is not None:
+    """Return the coverage factor of parameters that have no draws: those are taken as normal."""
+    if p.draws is not None:
         return None
-    return coverage_factor(p.degrees_of_freedom)
+    return NORMAL_FACTOR if p.degrees_of_freedom is None else coverage_factor(p.degrees_of_freedom)
 
 
 def covariance(p: ParameterKnowledge) -> Matrix:

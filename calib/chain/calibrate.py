@@ -37,7 +37,15 @@ from calib.fit.robust import RobustFit, fit_model
 from calib.fit.scale import scaled_defaults
 from calib.geometry.parameters import MODELS
 from calib.images.adjustment.result import Adjustment
-from calib.instrument.adjusted import AS_ASKED, BY_RULE, ROWS, Choice, choose
+from calib.instrument.adjusted import (
+    AS_ASKED,
+    BY_RULE,
+    ROWS,
+    Choice,
+    agreement,
+    choose,
+    refuse_missing,
+)
 from calib.instrument.averaging import build_average
 from calib.instrument.calibrated import build_instrument, measure_validation, tabulate_depths
 from calib.mirror.gaze import mirror_gaze
@@ -109,33 +117,23 @@ def calibrate(
         images = image_stages(dataset, store, options.seed)
         adjustment = adjustment_stage(dataset, store, images)
         failures = images.failures()
+        refuse_missing(options.method, None if adjustment is None else adjustment.get())
         gaze, choice = None, None
         if dataset.gaze is not None:
             rows = gaze_rows(dataset, dataset.gaze, store, images)
             if rows.failed is not None:
                 failures["gaze rows"] = rows.failed
-            else:
-                choice = choose(
-                    options.method,
-                    None if adjustment is None else adjustment.get(),
-                    rows.value,
-                    corrected=dataset.manifest.corrections is not None,
-                )
-            certify = choice is None or choice.method == ROWS
-            if rows.failed is not None:
-                pass
             elif dataset.manifest.rig.is_left:
                 mirror = Mirror.of(images.shared.value)
                 mirrored = given("mirrored rows", mirror.rows(rows.value))
                 setup = gaze_setup(dataset, images)
-                gaze = _gaze_chain(
-                    dataset, options, store, images, mirrored, mirror, certify=certify
-                )
+                gaze = _gaze_chain(dataset, options, store, images, mirrored, mirror)
                 own = rows.value if gaze.correction is None else mirror.rows(gaze.rows)
                 gaze = mirror_gaze(gaze, mirror, rows=own, setup=setup)
             else:
-                gaze = _gaze_chain(dataset, options, store, images, rows, certify=certify)
-        if gaze is not None and choice is not None and adjustment is not None:
+                gaze = _gaze_chain(dataset, options, store, images, rows)
+        if gaze is not None and adjustment is not None and adjustment.failed is None:
+            choice = _chosen(dataset, options, gaze, rows.value, adjustment.value)
             gaze = with_adjustment(
                 dataset, store, images, gaze, adjustment, choice, seed=options.seed
             )
@@ -173,6 +171,26 @@ def calibrate(
     return Run(calibration, tuple(store.durations), tuple(store.reused), written)
 
 
+def _chosen(
+    dataset: Dataset,
+    options: Options,
+    gaze: GazeResult,
+    rows: Observations,
+    adjustment: Adjustment,
+) -> Choice:
+    """Return from what the instrument is taken."""
+    agrees = None
+    if gaze.calibrated is not None:
+        agrees = agreement(
+            adjustment,
+            rows,
+            noise_factor=gaze.calibrated.noise_factor,
+            outliers=gaze.robust[gaze.calibrated.model].outliers,
+        )
+    corrected = dataset.manifest.corrections is not None
+    return choose(options.method, adjustment, agrees, corrected=corrected)
+
+
 def _combined(dataset: Dataset, gaze: GazeResult | None) -> tuple[str, ...]:
     """Return a warning if gazes were repeated."""
     if dataset.gaze is None or gaze is None:
@@ -204,8 +222,6 @@ def _gaze_chain(
     images: ImageStages,
     rows: Staged[Observations],
     mirror: Mirror | None = None,
-    *,
-    certify: bool,
 ) -> GazeResult:
     """From gaze rows to the calibrated instrument and what it measures.
 
@@ -258,7 +274,7 @@ def _gaze_chain(
     result = replace(result, identifiability={name: s.value for name, s in identified.items()})
     chains = {name: posterior[name] for name in result.posterior}
     fitted = _Fitted(rows, priors, fits, chains)
-    return _measure(dataset, options, store, images, fitted, result, mirror, certify=certify)
+    return _measure(dataset, options, store, images, fitted, result, mirror)
 
 
 @dataclass(frozen=True)
@@ -279,8 +295,6 @@ def _measure(
     fitted: _Fitted,
     result: GazeResult,
     mirror: Mirror | None,
-    *,
-    certify: bool,
 ) -> GazeResult:
     """Select a model and find what the instrument then measures."""
     run, seed, rows, priors = store.run, options.seed, fitted.rows, fitted.priors
@@ -319,13 +333,11 @@ def _measure(
                           diagnosis, calibrated, fitted.robust[selected], rows,
                           optional(validation), optional(_lengths(dataset)), depths))
     # fmt: on
-    evidence = None
-    if certify:
-        evidence = run(
-            certified(
-                "", dataset, calibrated, rows, optional(validation), optional(measured), seed=seed
-            )
-        ).get()
+    evidence = run(
+        certified(
+            "", dataset, calibrated, rows, optional(validation), optional(measured), seed=seed
+        )
+    )  # fmt: skip
     return replace(
         result,
         comparison=comparison.value,
@@ -335,7 +347,7 @@ def _measure(
         validation=None if measured is None else measured.value,
         groups=groups.value,
         diagnosis=diagnosis.value,
-        evidence=evidence,
+        evidence=evidence.get(),
     )
 
 

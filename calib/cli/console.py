@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import sys
 import threading
 from pathlib import Path
@@ -12,7 +13,7 @@ from tqdm import tqdm
 
 from calib.cli.voice import painted
 from calib.core.errors import harmless
-from calib.uncertainty.format import interval
+from calib.uncertainty.format import interval, last_place
 
 HEARTBEAT_S = 0.5
 """Between redraws of a terminal: whoever watches sees that the program is alive."""
@@ -118,7 +119,13 @@ def summary_json(out: Path) -> tuple[dict[str, Any], bool]:
     failed = [gate for gate in result["gates"] if not gate["passed"]]
     selected, parameters = result.get("selected"), {}
     if selected is not None:
-        fit = result["fits"][f"{selected}/posterior"]
+        by_adjustment = result.get("method") == "adjustment"
+        of_record = (
+            f"{result['adjustment']['model']}/adjustment"
+            if by_adjustment
+            else f"{selected}/posterior"
+        )
+        fit = result["fits"][of_record]
         parameters = fit["parameters"] | fit.get("derived", {})
     document = {
         "out": str(out),
@@ -156,22 +163,14 @@ def summary(out: Path) -> tuple[str, bool]:
     """Return the end of a run in a few lines, and whether all gates passed."""
     result = result_of(out)
     lines = []
+    lines += _instrument(result)
     selected = result.get("selected")
     if selected is not None:
-        lines.append(f"selected model: {selected}")
-        fit = result["fits"][f"{selected}/posterior"]
-        everything = fit["parameters"] | fit.get("derived", {})
-        for name, estimate in everything.items():
-            by_prior = estimate.get("identified_by") == "prior"
-            decided = " (identified by prior knowledge)" if by_prior else ""
-            figures = f"{estimate['value']:12.5g} +- {estimate['std']:.2g}"
-            if "q2.5" in estimate and name in fit.get("derived", {}):
-                low, high = interval(
-                    estimate["q2.5"], estimate["q97.5"], uncertainty=estimate["std"]
-                )
-                figures += f" (95 %: {low} to {high})"
-            lines.append(f"  {name:24s} {figures}{decided}")
-    lines += _instrument(result)
+        by = " of the gaze rows alone" if result.get("method") == "adjustment" else ""
+        lines += [
+            f"selected model{by}: {selected}",
+            *_estimates(result["fits"][f"{selected}/posterior"]),
+        ]
     lines += _faults(result)
     lines.append(f"results in {harmless(str(out))}")
     return "\n".join(lines), all(gate["passed"] for gate in result["gates"])
@@ -184,12 +183,31 @@ def _instrument(result: dict[str, Any]) -> list[str]:
     by = {"rows": "the gaze rows", "adjustment": "the adjustment of all pictures"}
     lines = [f"depths are measured by {by[result['method']]}: {result['method_rule']}"]
     if result["method"] == "adjustment":
-        fit = result["fits"][f"{result['adjustment']['model']}/adjustment"]
-        lines += [
-            f"  {name:24s} {estimate['value']:12.5g} +- {estimate['std']:.2g}"
-            for name, estimate in fit["parameters"].items()
-        ]
+        lines += _estimates(result["fits"][f"{result['adjustment']['model']}/adjustment"])
     return lines
+
+
+def _estimates(fit: dict[str, Any]) -> list[str]:
+    """Return the parameters of a fit and what follows from them, a line each."""
+    lines, derived = [], fit.get("derived", {})
+    for name, estimate in (fit["parameters"] | derived).items():
+        by_prior = estimate.get("identified_by") == "prior"
+        decided = " (identified by prior knowledge)" if by_prior else ""
+        figures = f"{_digits(estimate['value'], estimate['std']):>12s} +- {estimate['std']:.2g}"
+        if "q2.5" in estimate and name in derived:
+            low, high = interval(estimate["q2.5"], estimate["q97.5"], uncertainty=estimate["std"])
+            figures += f" (95 %: {low} to {high})"
+        lines.append(f"  {name:24s} {figures}{decided}")
+    return lines
+
+
+def _digits(value: float, std: float) -> str:
+    """Return a value with five digits, and with as many as its uncertainty needs."""
+    usual = f"{value:.5g}"
+    if not 0 < std < math.inf or "e" in usual:
+        return usual
+    needed = last_place(std)
+    return f"{value:.{-needed}f}" if -needed > len(usual.partition(".")[2]) else usual
 
 
 def _cause(cause: dict[str, Any]) -> str:

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.stats import chi2
 
 from calib.core.arrays import FloatArray
 from calib.core.errors import UsageError
 from calib.fit.robust import identified_by
+from calib.fit.start import some_rows
 from calib.geometry.misclosure import misclosure
-from calib.geometry.parameters import embed
+from calib.geometry.parameters import INDEX, embed
+from calib.geometry.plane import OBSERVABLE
 from calib.images.adjustment.result import AdjustedModel, Adjustment
 from calib.instrument.calibrated import (
     EVALUATION,
@@ -92,19 +96,69 @@ def moved_by_lenses(record: AdjustedModel, shared: Shared) -> FloatArray:
     return moved
 
 
-def row_pulls(adjustment: Adjustment, rows: Observations) -> FloatArray:
-    """Return by how many standard uncertainties rows miss the adjusted gaze planes, shape (n,).
+ENOUGH_ROWS = 1000
+"""Rows, spread over all, that tell whether they agree: their covariance is a full matrix."""
 
-    All that is uncertain of a row counts, what it shares with others too.
+
+@dataclass(frozen=True)
+class Agreement:
+    """How gaze rows agree with the gaze planes of the adjustment.
+
+    Parameters
+    ----------
+    statistic, freedom
+        Misclosures of the rows by their covariance, chi-squared of so many degrees of freedom if
+        rows and pictures agree.
+    probability
+        Of a statistic as large by chance.
+    """
+
+    statistic: float
+    freedom: int
+    probability: float
+
+
+def agreement(
+    adjustment: Adjustment,
+    rows: Observations,
+    *,
+    noise_factor: float = 1.0,
+    outliers: Collection[str] = (),
+) -> Agreement:
+    """Return how rows agree with the adjusted gaze planes.
+
+    The covariance has all that is uncertain of a row, what it shares with others, and the
+    parameters. Pictures of the rows are part of the adjustment, which would lessen it: left out.
+
+    Parameters
+    ----------
+    noise_factor
+        By how much the rows' own fit proves their stated uncertainties too small: noise is no
+        contradiction.
+    outliers
+        Rows that contradict the other rows: they say nothing of all rows.
     """
     record = adjustment.complete
-    found = misclosure(embed(record.values, record.names), rows.gaze, rows.z_mm)
+    kept = rows.take(np.array([name not in outliers for name in rows.ids], dtype=np.bool_))
+    kept = some_rows(kept, ENOUGH_ROWS)
+    at = embed(record.values, record.names)
+    found = misclosure(at, kept.gaze, kept.z_mm)
     by = found.by_observable
-    variance = (by**2 * rows.std**2).sum(axis=1)
-    if rows.shared_names:
-        variance = variance + (np.einsum("nq,nqk->nk", by, rows.shared) ** 2).sum(axis=1)
-    pulls: FloatArray = found.value / np.sqrt(variance)
-    return pulls
+    covariance = np.diag((by**2 * kept.std**2).sum(axis=1))
+    if kept.has_groups:
+        common = by[:, OBSERVABLE.z] * kept.u_z_group_mm
+        together = np.equal.outer(kept.z_group, kept.z_group) & ~np.eye(len(kept), dtype=np.bool_)
+        covariance += np.where(together, np.outer(common, common), 0.0)
+    covariance *= noise_factor**2
+    if kept.shared_names:
+        shared = np.einsum("nq,nqk->nk", by, kept.shared)
+        covariance += shared @ shared.T
+    slope = found.by_theta[:, [INDEX[name] for name in record.names]]
+    covariance += slope @ record.covariance @ slope.T
+    unit = np.sqrt(np.diag(covariance))
+    pulls = found.value / unit
+    statistic = float(pulls @ np.linalg.solve(covariance / np.outer(unit, unit), pulls))
+    return Agreement(statistic, len(kept), float(chi2.sf(statistic, len(kept))))
 
 
 BY_RULE, ROWS, ADJUSTMENT = "rule", "rows", "adjustment"
@@ -112,9 +166,8 @@ BY_RULE, ROWS, ADJUSTMENT = "rule", "rows", "adjustment"
 
 AS_ASKED = "as asked for by --method"
 
-ROWS_LIMIT = 3.0
-"""Root mean square of `row_pulls` up to which rows and pictures agree: 1 if all that is stated is
-so; rows whose reference depths are another scale than the board's squares miss by ten and more."""
+CONTRADICTED = 1e-3
+"""Probability below which rows and adjustment contradict each other."""
 
 
 @dataclass(frozen=True)
@@ -133,33 +186,37 @@ class Choice:
     reason: str
 
 
-def choose(
-    asked: str, adjustment: Adjustment | None, rows: Observations, *, corrected: bool
-) -> Choice | None:
-    """Return the choice; None where there is no adjustment.
+def refuse_missing(asked: str, adjustment: Adjustment | None) -> None:
+    """Raise where the user asks for an adjustment and there is none.
 
-    The instrument is taken from the adjustment where there is one, its gates pass and the rows
-    agree with it.
+    Raises
+    ------
+    UsageError
+        With what an adjustment needs.
+    """
+    if adjustment is None and asked == ADJUSTMENT:
+        raise UsageError(
+            "--method adjustment: there is no adjustment: it needs pictures of a board by both "
+            "cameras at known readings of the encoder; leave the option out"
+        )
+
+
+def choose(
+    asked: str, adjustment: Adjustment, agrees: Agreement | None, *, corrected: bool
+) -> Choice:
+    """Return the choice.
+
+    The instrument is taken from the adjustment where its gates pass and the rows agree with it.
 
     Parameters
     ----------
     asked
         `BY_RULE`, or the method that the user has asked for.
+    agrees
+        How rows agree; None without rows that could.
     corrected
         Whether the manifest accepts a correction of the rows, which the adjustment knows not of.
-
-    Raises
-    ------
-    UsageError
-        If the user asks for an adjustment and there is none.
     """
-    if adjustment is None:
-        if asked == ADJUSTMENT:
-            raise UsageError(
-                "--method adjustment: there is no adjustment: it needs pictures of a board by both "
-                "cameras at known readings of the encoder; leave the option out"
-            )
-        return None
     if asked != BY_RULE:
         return Choice(asked, AS_ASKED)
     failed = [gate.name for gate in adjustment.gates if not gate.passed]
@@ -167,14 +224,17 @@ def choose(
         return Choice(ROWS, f"the adjustment fails {', '.join(failed)}")
     if corrected:
         return Choice(ROWS, "[corrections] are of the rows, and the adjustment has none")
-    missed = float(np.sqrt(np.mean(row_pulls(adjustment, rows) ** 2)))
-    agree = (
-        f"rows miss its gaze planes by {missed:.2f} standard uncertainties (limit {ROWS_LIMIT:g})"
-    )
-    if missed > ROWS_LIMIT:
+    if agrees is None:
+        return Choice(ADJUSTMENT, "all gates of the adjustment pass, and no model fits the rows")
+    told = f"chi2 {agrees.statistic:.3g} of {agrees.freedom} rows, p = {agrees.probability:.2g}"
+    if agrees.probability < CONTRADICTED:
         return Choice(
             ROWS,
-            f"{agree}: reference depths and the squares of the board contradict each other, or "
-            "rows and pictures do not belong together",
+            f"rows contradict its gaze planes ({told}): reference depths and the squares of the "
+            "board differ in scale, a camera or the encoder was moved in between, or rows and "
+            "pictures do not belong together",
         )
-    return Choice(ADJUSTMENT, f"all gates of the adjustment pass, and {agree}")
+    return Choice(
+        ADJUSTMENT,
+        f"all gates of the adjustment pass, and the rows agree with its gaze planes ({told})",
+    )

@@ -21,7 +21,7 @@ some forty scores of honest estimators right at a limit, one in four studies sho
 
 
 LEAST_RIGS = 20
-"""Of fewer rigs a standard error is itself too uncertain to call a claim broken."""
+"""Of fewer rigs a standard error is itself too uncertain to call a claim held or broken."""
 
 
 @dataclass(frozen=True)
@@ -60,10 +60,13 @@ class Verdict:
     claim
         Its name.
     held
-        Whether every score lies within the limits.
+        Whether every score is of `LEAST_RIGS` or more and within the limits by its standard error.
     broken
         Whether a score of `LEAST_RIGS` or more lies beyond a limit by more than `CLEARLY` standard
         errors; if neither, more rigs must decide.
+    decided_by
+        Rigs of which some such number would decide, if the score stays as it is; None if decided,
+        or if no number would.
     worst
         The score nearest to a limit, or farthest beyond one.
     low, high
@@ -73,6 +76,7 @@ class Verdict:
     claim: str
     held: bool
     broken: bool
+    decided_by: int | None
     worst: Score
     low: float | None
     high: float | None
@@ -135,13 +139,25 @@ def _verdict(claim: Claim, scores: Sequence[Score]) -> Verdict | None:
     meant = [s for s in scores if _means(claim, s)]
     if not meant:
         return None
-    worst = max(meant, key=lambda s: _beyond(claim, s))
-    held = all(_beyond(claim, s) <= 0 for s in meant)
+    worst = max(meant, key=lambda s: _beyond(claim, s) + (s.std_error or 0.0))
+    held = all(
+        s.rigs >= LEAST_RIGS and _beyond(claim, s) + (s.std_error or 0.0) <= 0 for s in meant
+    )
     broken = any(
         s.rigs >= LEAST_RIGS and _beyond(claim, s) > CLEARLY * (s.std_error or 0.0) for s in meant
     )
+    more = None if held or broken else max(_needed(claim, s) for s in meant)
     low, high = (limit if np.isfinite(limit) else None for limit in (claim.low, claim.high))
-    return Verdict(claim.name, held, broken and not held, worst, low, high)
+    return Verdict(claim.name, held, broken and not held, more or None, worst, low, high)
+
+
+def _needed(claim: Claim, score: Score) -> int:
+    """Return of how many rigs this score, as it is, would decide; 0 if none would."""
+    beyond, error = _beyond(claim, score), score.std_error or 0.0
+    if beyond == 0:
+        return 0
+    errors = CLEARLY if beyond > 0 else 1.0
+    return max(LEAST_RIGS, int(np.ceil(score.rigs * (errors * error / beyond) ** 2)))
 
 
 def _beyond(claim: Claim, score: Score) -> float:
@@ -164,5 +180,7 @@ def verdict_text(verdict: Verdict) -> str:
     error = "" if s.std_error is None else f" +- {s.std_error:.2g}"
     who = " ".join(part for part in (s.condition, s.subject, s.estimator) if part)
     rigs = f"{s.rigs} rig{'' if s.rigs == 1 else 's'}"
-    few = ", too few to tell" if s.rigs < LEAST_RIGS and not verdict.held else ""
-    return f"{mark}  {verdict.claim}: {s.value:.3g}{error} ({who}, {rigs}{few})"
+    more = "" if verdict.decided_by is None else f"; some {verdict.decided_by} would tell"
+    if s.rigs < LEAST_RIGS:
+        more = f", too few to tell{more}"
+    return f"{mark}  {verdict.claim}: {s.value:.3g}{error} ({who}, {rigs}{more})"

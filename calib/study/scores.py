@@ -249,32 +249,63 @@ def _selection(name: str, records: Sequence[Record]) -> Iterator[Score]:
 
 def _mistakes(records: Sequence[Record]) -> list[Score]:
     """Return how often the diagnosis names what is wrong, and how often where nothing is."""
-    given = [names for record in records for names in record["clean"].values() if names is not None]
-    found = [_share(MISTAKES, "clean rigs", "", "false_names", [bool(names) for names in given])]
-    made = [one for record in records for one in record["mistakes"]]
-    made = [one for one in made if (one["effect"] or 0.0) > HARM]
-    for rows in sorted({one["rows"] for one in made}):
-        some = [one for one in made if one["rows"] == rows]
-        right = [one["fault"] in one["named"] for one in some]
-        wrong = [bool(one["named"]) and one["fault"] not in one["named"] for one in some]
-        told = [one["gain"] is not None and one["gain"] + PENALTY > DECISIVE for one in some]
-        shown = [good for good, is_told in zip(right, told, strict=True) if is_told]
+    # Under each condition another rig.
+    clean = [
+        [bool(names)]
+        for record in records
+        for names in record["clean"].values()
+        if names is not None
+    ]
+    found = [_share("clean rigs", "false_names", clean)]
+    # Of each rig: rigs are independent of each other, what is done to one of them is not.
+    made = [
+        [one for one in record["mistakes"] if (one["effect"] or 0.0) > HARM] for record in records
+    ]
+
+    def share(statistic: str, subject: str, key: str, value: Any, says: Callable[[Any], bool],
+              *, of: Callable[[Any], bool] = lambda _: True) -> Score:  # fmt: skip
+        some = [[says(one) for one in each if one[key] == value and of(one)] for each in made]
+        return _share(subject, statistic, some)
+
+    for rows in sorted({one["rows"] for each in made for one in each}):
+        of_rows = partial(share, subject=f"{rows} rows", key="rows", value=rows)
         found += [
-            _share(MISTAKES, f"{rows} rows", "", "named", right),
-            _share(MISTAKES, f"{rows} rows", "", "wrong_name", wrong),
-            _share(MISTAKES, f"{rows} rows", "", "in_evidence", told),
-            _share(MISTAKES, f"{rows} rows", "", "named_in_evidence", shown),
+            of_rows("named", says=_is_named),
+            of_rows("wrong_name", says=lambda one: bool(one["named"]) and not _is_named(one)),
+            of_rows("in_evidence", says=_is_in_evidence),
+            of_rows("named_in_evidence", says=_is_named, of=_is_in_evidence),
         ]
-    for fault in dict.fromkeys(one["fault"] for one in made):
-        named = [one["fault"] in one["named"] for one in made if one["fault"] == fault]
-        found.append(_share(MISTAKES, fault, "", "named", named))
+    for fault in dict.fromkeys(one["fault"] for each in made for one in each):
+        found.append(share("named", fault, "fault", fault, _is_named))
     return found
 
 
-def _share(name: str, subject: str, estimator: str, statistic: str, held: Sequence[bool]) -> Score:
-    return Score(
-        name, subject, estimator, statistic, *_fraction(np.array(held, dtype=float)), len(held)
-    )
+def _is_named(one: Mapping[str, Any]) -> bool:
+    return one["fault"] in one["named"]
+
+
+def _is_in_evidence(one: Mapping[str, Any]) -> bool:
+    return one["gain"] is not None and one["gain"] + PENALTY > DECISIVE
+
+
+def _share(subject: str, statistic: str, held: Sequence[Sequence[bool]]) -> Score:
+    """Return a share of the cases of all rigs, those of one rig in a list.
+
+    The standard error is that of a ratio of sums over rigs, whose cases go together (Cochran 1977,
+    Sampling Techniques, 2.11).
+    """
+    counts = np.array([len(each) for each in held if each], dtype=float)
+    hits = np.array([sum(each) for each in held if each], dtype=float)
+    rigs = len(counts)
+    if rigs == 0:
+        return Score(MISTAKES, subject, "", statistic, float("nan"), None, 0)
+    share = float(hits.sum() / counts.sum())
+    if share in (0.0, 1.0):
+        _, error = _fraction(np.full(rigs, share))
+    else:
+        _, spread = _mean(hits - share * counts)
+        error = None if spread is None else spread / float(counts.mean())
+    return Score(MISTAKES, subject, "", statistic, share, error, rigs)
 
 
 def _advice(records: Sequence[Record]) -> list[Score]:

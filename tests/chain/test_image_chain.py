@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import re
 import shutil
 import tomllib
@@ -15,10 +16,12 @@ from chain_runs import Chain, run_chain
 from dcc_schema import checked, shares, sources
 from scipy.stats import chi2
 
+from calib.cli.console import summary, summary_json
 from calib.core.errors import InputError
 from calib.dataset.readers import read_measurements
 from calib.instrument.by_model import measure_by
 from calib.instrument.calibration_file import read_calibration
+from calib.report.numbers import plus_minus
 from calib.simulate.contents import IntrinsicViews, SimulationOptions, SweepPlan
 from calib.simulate.dataset import simulate_dataset
 
@@ -166,6 +169,34 @@ def test_adjustment_is_the_instrument_and_within_its_covariance(chain: Chain) ->
         "c1 lens": 14, "c1 pair": 8, "c1 row": 8, "c2 lens": 14, "c2 pair": 8, "c2 row": 8,
         "c2 sweep": 14,
     }  # fmt: skip
+
+
+def test_the_headline_is_of_the_instrument_of_record_everywhere(chain: Chain) -> None:
+    """Tile, drawing, terminal and certificate state L_b + e by the adjustment, not by the rows."""
+    stated = chain.document["fits"]["complete/adjustment"]["derived"]["effective_baseline_mm"]
+    by_rows = chain.document["fits"]["axis-offset/posterior"]["derived"]["effective_baseline_mm"]
+    text, other = (plus_minus(one["value"], one["std"]) for one in (stated, by_rows))
+    assert text != other
+    half = 1.959964 * stated["std"]
+    assert stated["q2.5"] == pytest.approx(stated["value"] - half)
+    assert stated["q97.5"] == pytest.approx(stated["value"] + half)
+    report = (chain.out / "report.html").read_text()
+    tiles = report.partition('class="tiles"')[2].partition("</dl>")[0]
+    assert text in tiles
+    assert other not in tiles
+    assert f"= {text} mm" in html.unescape(report.partition('id="data"')[2])
+    value, u = text.split(" ± ")
+    told, _ = summary(chain.out)
+    of_record = told.partition("selected model")[0]
+    assert re.search(rf"effective_baseline_mm +{re.escape(value)} \+- {re.escape(u)}", of_record)
+    assert summary_json(chain.out)[0]["parameters"]["effective_baseline_mm"] == stated
+    certificate = (chain.out / "certificate.html").read_text()
+    line = certificate.partition("baseline seen at 90")[2].partition("</tr>")[0]
+    assert value in line
+    assert "1.96" in line
+    # Every parameter has U, k and an interval.
+    lines = certificate.partition("Calibrated parameters")[2].partition("</table>")[0]
+    assert "–" not in lines
 
 
 def test_one_file_measures_by_rows_and_by_adjustment(chain: Chain) -> None:

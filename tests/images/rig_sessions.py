@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
-import board_scenes as scenes
 import numpy as np
 
 from calib.core.arrays import FloatArray
@@ -19,6 +18,7 @@ from calib.simulate.contents import SimulationOptions, Table
 from calib.simulate.rig import Rig, draw_rig, mirror_rig
 from calib.simulate.scene import IntrinsicViews, SweepPlan, fitting_board
 from calib.simulate.session import draw_image_session
+from tests.images import board_scenes as scenes
 
 LENS_STD = np.array([2.0, 2.0, 2.0, 2.0, 0.01, 0.02, 1e-3, 1e-3, 0.01])
 """How far off the lens stage may leave the intrinsics."""

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from calib.study.claims import LEAST_RIGS, judge, verdict_text
-from calib.study.conditions import CONDITIONS, GROUPS, chosen
+from calib.study.conditions import CONDITIONS, GROUPS, MISTAKES, chosen
 from calib.study.scores import Score, score_all
 
 RIGS = 400
@@ -132,3 +132,40 @@ def test_rigs_that_all_agree_prove_nothing_while_they_are_few(rigs: int) -> None
     assert not verdict.held
     assert verdict.broken == (rigs >= LEAST_RIGS)
     assert ("too few" in verdict_text(verdict)) == (rigs < LEAST_RIGS)
+
+
+@pytest.mark.parametrize(
+    ("value", "error", "rigs", "mark", "enough"),
+    [
+        (0.95, 0.005, 500, "held", None),
+        (0.935, 0.004, 500, "held", None),
+        (0.935, 0.006, 500, "open", 720),  # 500 (0.006 / 0.005)^2
+        (0.928, 0.006, 500, "open", 28125),  # 500 (2.5 * 0.006 / 0.002)^2
+        (0.90, 0.006, 500, "BROKEN", None),
+        (0.95, 0.001, LEAST_RIGS - 1, "open", LEAST_RIGS),
+        (0.93, 0.006, 500, "open", None),
+    ],
+)
+def test_a_claim_is_held_only_beyond_the_error_of_its_score(
+    value: float, error: float, rigs: int, mark: str, enough: int | None
+) -> None:
+    score = Score("base-14", "depth inside", "selected", "coverage95", value, error, rigs)
+    (verdict,) = [v for v in judge([score]) if "inside the calibrated range" in v.claim]
+    assert verdict_text(verdict).startswith(mark)
+    assert (verdict.held, verdict.broken) == (mark == "held", mark == "BROKEN")
+    assert verdict.decided_by == (None if enough is None else pytest.approx(enough, abs=1))
+
+
+def test_cases_of_one_rig_are_one_witness() -> None:
+    """Closed form: eight rigs with five like cases each err as eight cases do, not as forty."""
+
+    def rig(number: int, *named: str) -> dict[str, object]:
+        case = {"fault": "backlash", "rows": 24, "effect": 5.0, "gain": 9.0, "named": list(named)}
+        return {"condition": MISTAKES, "number": number, "clean": {}, "mistakes": [case] * 5}
+
+    names = [("backlash",), (), ("backlash",), ("backlash",), (), ("backlash",), ("backlash",), ()]
+    made = [rig(i, *name) for i, name in enumerate(names)]
+    score = find(score_all(made), subject="24 rows", statistic="named")
+    share = 5 / 8
+    assert (score.value, score.rigs) == (share, 8)
+    assert score.std_error == pytest.approx(np.sqrt(share * (1 - share) / 7))

@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from markupsafe import Markup
 
+from calib.geometry.parameters import embed
 from calib.geometry.plane import OBSERVABLE
 from calib.report.blocks import (
     EMPTY,
@@ -35,9 +36,9 @@ from calib.report.numbers import (
 )
 from calib.report.plotting import picture
 from calib.report.scene import scene_data
-from calib.report.sections.pick import chosen_fit, contrasted, shown_rows
+from calib.report.sections.pick import contrasted, shown_rows
 from calib.results.calibration import Calibration, GazeResult
-from calib.results.effective_baseline import effective_baseline, effective_interval
+from calib.results.headline import Headline, headline
 from calib.rows.observations import Observations
 
 
@@ -92,37 +93,32 @@ def _range(z_mm: np.ndarray) -> str:
 
 
 def _sketch(gaze: GazeResult) -> list[Block]:
-    fit = chosen_fit(gaze)
-    if fit is None:
+    found = headline(gaze)
+    if found is None:
         return []
+    theta = embed(found.values, found.names)
     return [
         picture(
             "setup",
-            draw_setup(gaze.rows, fit.theta, fit.names, effective=_effective(gaze, fit.names)),
+            draw_setup(gaze.rows, theta, found.names, effective=_effective(found)),
             Markup(
                 "The rig from above. Left: the symbols, with the values of <em>{}</em>. The yaw "
                 "axis stands at X = <i>L</i><sub>b</sub>, Z = <i>Z</i><sub>a</sub>, and the gaze "
                 "plane passes it at the distance <i>e</i>. Right: where the targets stood. Targets "
                 "in one line with C1, or all at one depth, would not determine the calibration; a "
                 "target on the wrong side betrays a wrong sign of x1c."
-            ).format(fit.model),
+            ).format("the adjustment of all pictures" if found.by_adjustment else found.model),
         ),
-        *_scene(gaze, fit.theta),
+        *_scene(gaze, theta),
     ]
 
 
-def _effective(gaze: GazeResult, names: tuple[str, ...]) -> str:
+def _effective(found: Headline) -> str:
     """Return L_b + e with its 95 % interval for the drawing; empty without an eccentricity."""
-    fit = chosen_fit(gaze)
-    if fit is None or fit.model not in gaze.posterior:
+    if found.effective is None or found.effective95 is None:
         return ""
-    p = gaze.posterior[fit.model]
-    found = effective_baseline(names, p.mean[:-1], p.covariance[:-1, :-1])
-    ends = effective_interval(names, p.flat)
-    if found is None or ends is None:
-        return ""
-    between = bounds(*ends, found[1]).text
-    return f"{plain_symbol(EFFECTIVE)} = {plus_minus(*found)} mm (95 %: {between})"
+    between = bounds(*found.effective95, found.effective[1]).text
+    return f"{plain_symbol(EFFECTIVE)} = {plus_minus(*found.effective)} mm (95 %: {between})"
 
 
 def _scene(gaze: GazeResult, theta: np.ndarray) -> list[Block]:

@@ -27,9 +27,8 @@ from calib.report.blocks import (
 from calib.report.context import ReportContext
 from calib.report.numbers import EFFECTIVE, bounds, factor, plus_minus, signed, symbol, unit
 from calib.report.sections.contradiction import what_the_errors_do
-from calib.report.sections.pick import chosen_fit
 from calib.results.calibration import Calibration, GazeResult
-from calib.results.effective_baseline import effective_baseline, effective_interval
+from calib.results.headline import headline
 from calib.uncertainty.format import significant
 
 _BACKENDS = {"joint": "the joint solve of lenses and pairs"}
@@ -113,8 +112,10 @@ def _gaze(gaze: GazeResult, context: ReportContext) -> list[Block]:
         KeyFigures(tuple(tiles)),
         *_instrument(gaze),
         Paragraph(
-            Markup("Selected model: <strong>{}</strong>. {}.").format(
-                gaze.comparison.selected, _capital(gaze.comparison.reason)
+            Markup("Selected model{}: <strong>{}</strong>. {}.").format(
+                "" if gaze.choice is None or gaze.choice.method == ROWS else " of the gaze rows",
+                gaze.comparison.selected,
+                _capital(gaze.comparison.reason),
             )
         ),
     ]
@@ -125,7 +126,7 @@ def _instrument(gaze: GazeResult) -> list[Block]:
     if gaze.choice is None:
         return []
     by = {ROWS: "the gaze rows", ADJUSTMENT: "the adjustment of all pictures"}[gaze.choice.method]
-    words = Markup("Depths are measured by <strong>{}</strong>: {}.")
+    words = Markup("Depths and the figures above are by <strong>{}</strong>: {}.")
     return [Paragraph(words.format(by, gaze.choice.reason))]
 
 
@@ -135,19 +136,16 @@ def _capital(text: str) -> str:
 
 
 def _parameter_tiles(gaze: GazeResult) -> list[tuple[Text, Text, Text]]:
-    fit = chosen_fit(gaze)
-    if fit is None:
+    of_record = headline(gaze)
+    if of_record is None:
         return []
-    posterior = gaze.posterior[fit.model]
-    mean, covariance = posterior.mean[:-1], posterior.covariance[:-1, :-1]
-    std = np.sqrt(np.diag(covariance))
-    found = effective_baseline(fit.names, mean, covariance)
+    std = np.sqrt(np.diag(of_record.covariance))
+    found, ends = of_record.effective, of_record.effective95
     tiles: list[tuple[Text, Text, Text]] = []
     if found is not None:
-        ends = effective_interval(fit.names, posterior.flat)
         between = "" if ends is None else f"; 95 %: {bounds(*ends, found[1]).text} mm"
         tiles.append(_tile(EFFECTIVE, *found, f"baseline seen at 90°{between}"))
-    for name, value, u in zip(fit.names, mean, std, strict=True):
+    for name, value, u in zip(of_record.names, of_record.values, std, strict=True):
         if name in ("baseline_mm", "delta2_rad", "axis_z_mm") and not (
             name == "baseline_mm" and found is not None
         ):
@@ -168,23 +166,30 @@ def _tile(name: str, value: float, u: float, meaning: str) -> tuple[Text, Text, 
 
 
 def _depth_tiles(gaze: GazeResult) -> list[tuple[Text, Text, Text]]:
-    """Return the depth uncertainty at both ends of the calibrated depths."""
-    if gaze.depths is None:
-        return []
-    inside = np.flatnonzero(np.asarray(gaze.depths.extrapolated) == 0)
-    if not len(inside):
-        return []
+    """Return the depth uncertainty at both ends of the calibrated depths, as certified.
+
+    Where nothing is certified, that on C1's axis.
+    """
+    certified = () if gaze.evidence is None else gaze.evidence.depths
+    inside = [one.result for one in certified if not one.extrapolated]
+    told = [
+        (r.z_mm, r.standard_uncertainty_mm, f"where it is largest, x1c = {signed(f'{r.x1c:.2f}')}")
+        for r in inside
+    ]
+    if not told and gaze.depths is not None:
+        table = gaze.depths
+        told = [
+            (float(table.depth_mm[i]), float(table.prediction.u_mm[i]), "on C1's optical axis")
+            for i in np.flatnonzero(np.asarray(table.extrapolated) == 0)
+        ]
     tiles: list[tuple[Text, Text, Text]] = []
-    for i in dict.fromkeys((int(inside[0]), int(inside[-1]))):
-        z, u = float(gaze.depths.depth_mm[i]), float(gaze.depths.prediction.u_mm[i])
-        share = f"{significant(100 * u / z, digits=2)} % of depth, on C1's optical axis"
-        tiles.append(
-            (
-                Markup("<i>u</i>(<i>z</i>) at {} mm").format(f"{z:.0f}"),
-                f"{significant(u, digits=2)} mm",
-                share,
-            )
-        )
+    for z, u, where in dict.fromkeys((told[0], told[-1])) if told else ():
+        title = Markup("<i>u</i>(<i>z</i>) at {} mm").format(f"{z:.0f}")
+        if u is None or not np.isfinite(u):
+            tiles.append((title, "none", f"the distribution has no variance ({where})"))
+        else:
+            share = f"{significant(100 * u / z, digits=2)} % of depth, {where}"
+            tiles.append((title, f"{significant(u, digits=2)} mm", share))
     return tiles
 
 

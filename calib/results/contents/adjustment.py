@@ -14,7 +14,7 @@ from calib.document.adjustment import (
     AdjustmentPart,
 )
 from calib.document.findings import GatePart
-from calib.document.fits import Fit
+from calib.document.fits import Derived, Fit
 from calib.document.part import matrix, vector
 from calib.fit.robust import identified_by
 from calib.fit.row_sums import residuals
@@ -22,8 +22,10 @@ from calib.geometry.camera import Camera
 from calib.geometry.parameters import embed
 from calib.geometry.poses import pose_matrix
 from calib.images.adjustment.result import AdjustedModel, Adjustment
-from calib.results.contents.fits import derived, estimates, with_sources
+from calib.results.contents.fits import estimates, with_sources
 from calib.results.contents.images import camera_matrix
+from calib.results.effective_baseline import effective_baseline
+from calib.results.headline import normal_interval
 from calib.rows.observations import Observations
 
 _BLOCKS = ("intrinsics_c1", "intrinsics_c2", "rig")
@@ -50,7 +52,7 @@ def _fit(a: Adjustment, model: AdjustedModel, rows: Observations | None) -> Fit:
         ),
         names=tuple(model.names),
         covariance=matrix(model.covariance),
-        derived=derived(model.names, model.values, model.covariance),
+        derived=_derived(model),
         diagnostics={
             "misfit": model.misfit,
             "parameters_fewer": model.freedom,
@@ -63,6 +65,16 @@ def _fit(a: Adjustment, model: AdjustedModel, rows: Observations | None) -> Fit:
         },
         **_residuals(a, model, rows),
     )
+
+
+def _derived(model: AdjustedModel) -> dict[str, Derived] | None:
+    """Return L_b + e with the interval of a normal quantity."""
+    found = effective_baseline(model.names, model.values, model.covariance)
+    if found is None:
+        return None
+    low, high = normal_interval(*found)
+    total = Derived(value=found[0], std=found[1], q2_5=low, q97_5=high)
+    return {"effective_baseline_mm": total}
 
 
 def _residuals(a: Adjustment, model: AdjustedModel, rows: Observations | None) -> dict[str, Any]:

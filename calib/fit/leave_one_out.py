@@ -176,12 +176,24 @@ def _smoothed_terms(
     for block in blocks[1:]:
         given += block.power @ block.pointwise(draws).T
     log_weights, k_hat = _smoothed(given - log_prior_weights)
-    log_weights -= logsumexp(log_weights, axis=1, keepdims=True)
+    log_weights -= _log_sum(log_weights)[:, None]
     if len(log_weights) < len(density):
         log_weights = log_weights[place[: len(density)]]
-    terms = [logsumexp(density + log_weights, axis=1)]
-    terms += [logsumexp(b.pointwise(draws).T + log_weights[0], axis=1) for b in blocks[1:]]
+    terms = [_log_sum(density + log_weights)]
+    terms += [_log_sum(b.pointwise(draws).T + log_weights[0]) for b in blocks[1:]]
     return np.concatenate(terms), k_hat[place]
+
+
+def _log_sum(terms: FloatArray) -> FloatArray:
+    """Return the log of the sum of exponentials of finite terms, (n, m), shape (n,).
+
+    scipy's for any terms takes five times as long.
+    """
+    largest = terms.max(axis=1)
+    scaled = terms - largest[:, None]
+    total = np.exp(scaled, out=scaled).sum(axis=1)
+    found: FloatArray = largest + np.log(total)
+    return found
 
 
 def _parts(unit: IntArray, most: int) -> Iterator[IntArray]:

@@ -35,9 +35,7 @@ def stacking_weights(pointwise: FloatArray) -> FloatArray:
     density = np.exp(pointwise - pointwise.max(axis=1, keepdims=True))
     weights: FloatArray = np.full(pointwise.shape[1], 1 / pointwise.shape[1])
     for _ in range(10_000):
-        share = weights * density
-        share /= share.sum(axis=1, keepdims=True)
-        updated: FloatArray = share.mean(axis=0)
+        updated: FloatArray = weights * (density.T @ (1 / (density @ weights))) / len(density)
         if np.abs(updated - weights).max() < 1e-10:
             return updated
         weights = updated

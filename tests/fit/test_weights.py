@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.special import logsumexp
 
+from calib.fit.leave_one_out import _log_sum
 from calib.fit.weights import averaging_weights, stacking_weights
 
 
@@ -45,3 +47,9 @@ def test_many_rows_are_weighed_in_parts(monkeypatch: pytest.MonkeyPatch) -> None
     monkeypatch.setattr("calib.fit.weights.CHUNK_ELEMENTS", 700)
     same = np.random.default_rng(0).normal(size=(50, 1)) * np.ones(2)
     assert averaging_weights(same, np.random.default_rng(0)) == pytest.approx(np.array([0.5, 0.5]))
+
+
+def test_sums_of_left_out_densities_are_scipys() -> None:
+    """Far below the least number, too, where exponentials by themselves would be 0."""
+    terms = np.random.default_rng(6).normal(0, 30, (50, 400)) - 2000.0
+    assert _log_sum(terms) == pytest.approx(logsumexp(terms, axis=1), rel=1e-14)

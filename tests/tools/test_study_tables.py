@@ -47,10 +47,8 @@ def test_a_changed_score_is_noticed_and_written(tool: ModuleType) -> None:
 
 def test_the_words_on_mistakes_agree_with_the_scores(tool: ModuleType) -> None:
     study = tool.Study(tool.DOCS / "study" / "faults")
-    shares = [
-        f"{100 * float(study.value(tool.MISTAKES, f'{n} rows', '', 'named', digits=4).split()[0]):.0f}"
-        for n in tool.ROW_COUNTS
-    ]
+    keys = [(tool.MISTAKES, f"{count} rows", "", "named") for count in tool.ROW_COUNTS]
+    shares = [f"{100 * float(study.value(*key, digits=4).split()[0]):.0f}" for key in keys]
     text = " ".join(tool.DOCUMENT.read_text().split())
     few, some, many = shares
     assert f"{few} % are named with 14 rows, {some} % with 24, {many} % with 60" in text

@@ -141,8 +141,7 @@ def posterior() -> list[Line]:
         result = sample_posterior(rows, fit, Priors({}), seed=SeedSequence(0))
         chain = (time.process_time() - started) / result.ess_bulk.min()
         rng = np.random.default_rng(0)
-        # Called at once, so the loop's names are those of this turn; below as well.
-        quick = cpu(lambda: sample_importance(target, centre, covariance, rng))  # noqa: B023
+        quick = cpu(lambda: sample_importance(target, centre, covariance, rng))  # noqa: B023 - at once
         sample = sample_importance(target, centre, covariance, rng)
         peer = lmfit_seconds_per_draw(target, centre, steps)
         n = f"N = {count}"
@@ -167,7 +166,7 @@ def detection() -> list[Line]:
             criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 40, 1e-3)
             cv2.cornerSubPix(image, corners, (11, 11), (-1, -1), criteria)
 
-        ours, theirs = (cpu(lambda: find_chessboard(image, board)), cpu(bare))  # noqa: B023
+        ours, theirs = (cpu(lambda: find_chessboard(image, board)), cpu(bare))  # noqa: B023 - at once
         wanted = "12 ms" if width > 2000 else "5 ms"
         lines.append(
             Line(f"board in {width} x {height}: bare script takes {1e3 * theirs:.0f} ms, here",

@@ -22,8 +22,13 @@ def tasks_of(
     Raises
     ------
     UsageError
-        If two runs would still share a folder.
+        If a dataset is not there at all, as where a pattern of the shell matches nothing, or if two
+        runs would still share a folder.
     """
+    absent = [str(path) for path in datasets if not path.exists()]
+    if absent:
+        more = f" and {len(absent) - 1} more" if len(absent) > 1 else ""
+        raise UsageError(f"{absent[0]}{more}: not there; give folders with a dataset.toml")
     real = [path.resolve() for path in datasets]
     names = Counter(path.name for path in real)
     found: dict[str, Path] = {}

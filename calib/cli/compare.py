@@ -80,4 +80,9 @@ def _of_more_rigs(runs: Sequence[Run]) -> str | None:
             f"calib: {silent}: no [rig] serial in its dataset; only if it is {known[0]} "
             "are differences changes of one rig"
         )
+    if not known and len({run.dataset_sha256 for run in runs}) > 1:
+        return (
+            "calib: no [rig] serial in these datasets: nothing shows that they are of one rig, and "
+            "only then are differences changes"
+        )
     return None

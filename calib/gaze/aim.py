@@ -84,7 +84,7 @@ class BlindAiming:
 
     range_rad: tuple[float, float]
 
-    def aim(self, pixel_c1: FloatArray, *, depth_mm: float | None) -> Aim:  # noqa: ARG002
+    def aim(self, pixel_c1: FloatArray, *, depth_mm: float | None) -> Aim:  # noqa: ARG002 - of the protocol
         """Return the whole range, from its middle."""
         low, high = self.range_rad
         return Aim((low + high) / 2, low, high)

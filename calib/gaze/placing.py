@@ -41,11 +41,11 @@ class PlatePlacing:
     def __init__(self, world: World) -> None:
         self._operator = Operator(world)
 
-    def place(self, name: str) -> None:  # noqa: ARG002
+    def place(self, name: str) -> None:  # noqa: ARG002 - of the protocol
         """Put the plate where C1 sees both its ends."""
         self._operator.show_plate()
 
-    def depth_mm(self, name: str) -> tuple[float, float | None] | None:  # noqa: ARG002
+    def depth_mm(self, name: str) -> tuple[float, float | None] | None:  # noqa: ARG002 - of the protocol
         """Return nothing: a plate has no one depth."""
         return None
 
@@ -69,11 +69,11 @@ class VirtualPlacing:
             self._operator.show_gaze()
             self._operator.ruler_mm()
 
-    def place(self, name: str) -> None:  # noqa: ARG002
+    def place(self, name: str) -> None:  # noqa: ARG002 - of the protocol
         """Put the next board where both cameras see all of it."""
         self._operator.show_gaze()
 
-    def depth_mm(self, name: str) -> tuple[float, float | None] | None:  # noqa: ARG002
+    def depth_mm(self, name: str) -> tuple[float, float | None] | None:  # noqa: ARG002 - of the protocol
         """Return the depth as a ruler would tell it."""
         return self._operator.ruler_mm()
 

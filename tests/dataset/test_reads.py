@@ -44,7 +44,9 @@ def test_rows_of_a_stepper_are_as_uncertain_as_they_scatter(tmp_path: Path) -> N
     for seed in range(6):
         plain = tmp_path / f"plain-{seed}"
         simulate_dataset(plain, SimulationOptions(seed=seed, rows=40))
-        resolution = load_dataset(plain).manifest.encoder.resolution_deg  # type: ignore[union-attr]
+        encoder = load_dataset(plain).manifest.encoder
+        assert encoder is not None
+        resolution = encoder.resolution_deg
         folder = tmp_path / f"stepper-{seed}"
         # The makers' 5 %, on a coarse rig far above all other noise.
         faults = {"microstep": 0.05 * 16 * resolution}

@@ -44,7 +44,7 @@ def test_code_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         exec("import calib\n" + making, names)  # noqa: S102 - our own page
         for block in blocks:
             if block is not making:
-                exec(block, names)  # noqa: S102
+                exec(block, names)  # noqa: S102 - our own page
     length, u = names["length"], names["u"]
     assert isinstance(length, float)
     assert isinstance(u, float)

@@ -219,7 +219,8 @@ def larger_baseline(document: dict[str, object]) -> None:
 
 def smaller_covariance(document: dict[str, object]) -> None:
     m = document["measurement"]
-    m["covariance"] = [[v * 1e-12 for v in row] for row in m["covariance"]]  # type: ignore[index]
+    assert isinstance(m, dict)
+    m["covariance"] = [[v * 1e-12 for v in row] for row in m["covariance"]]
 
 
 @pytest.mark.parametrize("edit", [larger_baseline, smaller_covariance])

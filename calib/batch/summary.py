@@ -7,7 +7,7 @@ import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, TypeAlias
+from typing import Any, Literal, TypeAlias
 from urllib.parse import quote
 
 from calib.batch.task import Ending, Outcome
@@ -93,6 +93,22 @@ def counts(lines: Sequence[Line]) -> str:
     said = ", ".join(f"{number} {kind}" for kind, number in numbers.items() if number)
     noun = "dataset" if len(lines) == 1 else "datasets"
     return f"{len(lines)} {noun}: {said}"
+
+
+def document(lines: Sequence[Line]) -> dict[str, Any]:
+    """Return the summary as a JSON object."""
+    return {
+        "datasets": [
+            {
+                "dataset": line.dataset,
+                "folder": line.folder,
+                "result": line.result,
+                "figures": line.figures,
+                "remarks": list(line.remarks),
+            }
+            for line in lines
+        ]
+    }
 
 
 def csv_text(lines: Sequence[Line]) -> str:

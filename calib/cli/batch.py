@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from calib.cli.arguments import add_input, add_output, jobs, natural
+from calib.cli.voice import add_voice, print_json
 from calib.core.errors import harmless
 from calib.stages.interruption import interrupt_on
 from calib.stages.output_guard import OutputKind, files_of
@@ -36,6 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="default: reports/batch; finished runs there are reused",
     )  # fmt: skip
     parser.add_argument("--seed", type=natural, default=0, metavar="N", help="default: 0")
+    add_voice(parser, json_help="print the result of each dataset as JSON")
     parser.add_argument(
         "--jobs", type=jobs, metavar="N",
         help="datasets at a time here; default: as many as processors",
@@ -49,7 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Calibrate all, write the summary, return the status of the worst."""
     from calib.batch.run import run_batch, tasks_of
-    from calib.batch.summary import counts, csv_text, line_of, page
+    from calib.batch.summary import counts, csv_text, document, line_of, page
     from calib.cli.console import Console
     from calib.stages.files import make_folder, write_bytes
     from calib.stages.parallel import processors
@@ -63,7 +65,7 @@ def run(arguments: argparse.Namespace) -> int:
     )  # fmt: skip
     if not places[PAGE].exists():
         write_bytes(places[PAGE], page([]).encode())
-    console, done = Console(), 0
+    console, done = Console(quiet=arguments.quiet), 0
 
     def finished(outcome: Outcome) -> None:
         nonlocal done
@@ -71,9 +73,10 @@ def run(arguments: argparse.Namespace) -> int:
         console.close()
         name = harmless(outcome.task.dataset)
         result = line_of(outcome, arguments.out).result
-        print(f"  {done} of {len(tasks)}  {result}: {name}", file=sys.stderr)
-        for line in outcome.said:
-            print(f"      {harmless(line)}", file=sys.stderr)
+        if not (arguments.quiet and result == "passed"):
+            print(f"  {done} of {len(tasks)}  {result}: {name}", file=sys.stderr)
+            for line in outcome.said:
+                print(f"      {harmless(line)}", file=sys.stderr)
         console.progress("datasets", done, len(tasks))
 
     try:
@@ -88,8 +91,11 @@ def run(arguments: argparse.Namespace) -> int:
     lines = [line_of(outcome, arguments.out) for outcome in outcomes]
     write_bytes(places[TABLE], csv_text(lines).encode())
     write_bytes(places[PAGE], page(lines).encode())
-    print(counts(lines))
-    print(f"summary: {harmless(str(arguments.out / PAGE))}")
+    if arguments.json:
+        print_json(document(lines))
+    elif not arguments.quiet:
+        print(counts(lines))
+        print(f"summary: {harmless(str(arguments.out / PAGE))}")
     return next(
         (status for ending, status in STATUS.items() if any(o.ending == ending for o in outcomes)),
         0,

@@ -11,6 +11,7 @@ from calib.cli.arguments import add_output, depth, positive
 from calib.cli.gaze import add_target, make_gazer
 from calib.cli.guided_capture import DATASET
 from calib.cli.rig_options import add_rig, opened
+from calib.cli.voice import add_voice, print_json
 from calib.core.errors import harmless
 
 DONE, NOT_ALL = 0, 3
@@ -35,6 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             help=f"rows that the table then has; default: {DEFAULT_COUNT}",
         )  # fmt: skip
         add_target(add)
+        add_voice(add, json_help="print how many rows there are as JSON")
         add.add_argument(
             "--u-z-mm", type=depth, default=DEFAULT_U_Z_MM, metavar="MM",
             help=f"standard uncertainty of depths typed in; default: {DEFAULT_U_Z_MM:g}",
@@ -68,7 +70,11 @@ def _run(arguments: argparse.Namespace) -> int:
             announce=_tell,
         )
         ended = capture_rows(capture, count=arguments.count)
-    print(f"{harmless(str(arguments.dataset))}: {ended.rows} rows in {capture.table}")
+    if arguments.json:
+        told = {"table": capture.table, "rows": ended.rows, "refused": ended.refused}
+        print_json({"dataset": str(arguments.dataset), **told})
+    elif not arguments.quiet:
+        print(f"{harmless(str(arguments.dataset))}: {ended.rows} rows in {capture.table}")
     if ended.rows < arguments.count:
         _tell(f"calib: {ended.refused} targets were refused, the last ones in a row: see above")
         return NOT_ALL

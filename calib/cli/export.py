@@ -7,6 +7,7 @@ from pathlib import Path
 
 from calib.cli.acceptance import DONE, GATE_FAILED, add_calibration, warn_of_failed
 from calib.cli.arguments import add_output
+from calib.cli.voice import add_voice, print_json
 from calib.core.errors import harmless
 from calib.stages.output_guard import OutputKind, files_of
 
@@ -28,6 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_output(
         parser, "--out", kind=EXPORTED, metavar="DIR", required=True, help="folder for the files"
     )
+    add_voice(parser, json_help="print the files written as JSON")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -44,7 +46,11 @@ def run(arguments: argparse.Namespace) -> int:
     places = files_of(folder, files, EXPORTED, option="--out", force=arguments.force)
     for name, path in places.items():
         write_bytes(path, files[name].encode())
-        print(harmless(str(path)))
+        if not (arguments.json or arguments.quiet):
+            print(harmless(str(path)))
+    if arguments.json:
+        written = {name: str(path) for name, path in places.items()}
+        print_json({"format": arguments.format, "files": written})
     minded = warn_of_failed(
         arguments.calibration, found.failed_gates, accepted=arguments.accept_failed
     )

@@ -11,6 +11,7 @@ from calib.cli.arguments import add_output, positive
 from calib.cli.measure import POSITIONS, writer
 from calib.cli.rig_options import add_rig, last_check, opened
 from calib.cli.streams import say
+from calib.cli.voice import add_voice, as_json_lines
 
 if TYPE_CHECKING:
     from calib.gaze.aim import EpipolarAiming
@@ -36,6 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--follow", action="store_true", help="the target moves: C2 goes where it will be"
     )
     add_output(parser, "--out", kind=POSITIONS, metavar="CSV", help="default: standard output")
+    add_voice(parser, json_help="write an object a row, JSON Lines")
     parser.add_argument(
         "--model", default="selected", metavar="NAME",
         help="selected (default), a fitted model, or average over all of them",
@@ -67,7 +69,8 @@ def run(arguments: argparse.Namespace) -> int:
         known = lenses(measuring, rig, name=str(arguments.calibration))
         gazer = make_gazer(arguments, rig, known.c2, lens_c1=known.c1)
         with writer(arguments.out) as write:
-            table = _Table(arguments, measuring, write)
+            put = as_json_lines(write) if arguments.json else write
+            table = _Table(arguments, measuring, put)
             work = _follow if arguments.follow else _gaze_at_each
             try:
                 work(arguments, rig, gazer, aiming(measuring, known.c1), table)
@@ -176,7 +179,7 @@ class _Table:
         from calib.gaze.table import header
 
         self._measuring = measuring
-        self._model = arguments.model
+        self._model, self._quiet = arguments.model, arguments.quiet
         self._gate_failed = bool(measuring.failed_gates) and not arguments.accept_failed
         self._write = write
         self._refused: list[str] = []
@@ -210,7 +213,7 @@ class _Table:
 
     def report(self) -> bool:
         """Say how many were refused; return whether any was."""
-        if self._refused:
+        if self._refused and not self._quiet:
             _tell(f"calib: {len(self._refused)} target(s) could not be measured")
         return bool(self._refused)
 

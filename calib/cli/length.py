@@ -10,6 +10,7 @@ from calib.cli.gaze import make_gazer
 from calib.cli.measure import writer
 from calib.cli.rig_options import add_rig, opened
 from calib.cli.streams import say
+from calib.cli.voice import add_voice, as_json_lines
 from calib.stages.output_guard import OutputKind
 
 DONE, NOT_ALL = 0, 3
@@ -40,6 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="things to measure, one after another",
     )
     add_output(parser, "--out", kind=LENGTHS, metavar="CSV", help="default: standard output")
+    add_voice(parser, json_help="write an object a row, JSON Lines")
     parser.add_argument(
         "--model", default="selected", metavar="NAME",
         help="selected (default), a fitted model, or average over all of them",
@@ -66,7 +68,8 @@ def run(arguments: argparse.Namespace) -> int:
     )
     status = "gate failed" if minded else "ok"
     refused = 0
-    with opened(arguments.rig, virtual_target=PLATE) as rig, writer(arguments.out) as write:
+    with opened(arguments.rig, virtual_target=PLATE) as rig, writer(arguments.out) as put:
+        write = as_json_lines(put) if arguments.json else put
         known = lenses(measuring, rig, name=str(arguments.calibration))
         board = known_board(rig)
         ends = target(arguments.start, board), target(arguments.end, board)

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from calib.cli.arguments import add_input, add_output, depth, natural, number, run_folder, whole
+from calib.cli.voice import add_voice, print_json
 from calib.core.errors import harmless
 from calib.stages.output_guard import RUN_FOLDER, OutputKind
 
@@ -55,6 +56,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_output(
         parser, "--out", kind=PICTURE, metavar="FILE", help="picture, .svg or .png; default: none"
     )
+    add_voice(parser, json_help="print targets and uncertainties as JSON")
 
 
 def _angle(text: str) -> float:
@@ -74,7 +76,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     from calib.dataset.load import load_dataset
     from calib.plan.advise import advise
-    from calib.plan.output import picture, picture_format, text
+    from calib.plan.output import document, picture, picture_format, text
     from calib.plan.prepare import prepare
     from calib.stages.files import write_bytes
 
@@ -98,10 +100,14 @@ def run(arguments: argparse.Namespace) -> int:
         between_mm=start.between_mm,
         count=arguments.rows,
     )
-    sys.stdout.write(text(advice, start))
+    if arguments.json:
+        print_json(document(advice, start))
+    elif not arguments.quiet:
+        sys.stdout.write(text(advice, start))
     if kind is not None:
         write_bytes(arguments.out, picture(advice, start.points_mm, kind=kind))
-        sys.stdout.write(f"\npicture: {arguments.out}\n")
+        if not (arguments.json or arguments.quiet):
+            sys.stdout.write(f"\npicture: {arguments.out}\n")
     return 0
 
 

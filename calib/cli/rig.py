@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from calib.cli.arguments import add_input, add_output
 from calib.cli.rig_options import HELP, check_path, opened
+from calib.cli.voice import add_voice
 from calib.core.errors import UsageError, harmless
 from calib.stages.output_guard import OutputKind, guarded
 
@@ -31,6 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_output(
         add, "--out", kind=CHECK, metavar="FILE", help="default: rig-check.json beside RIG.toml"
     )
+    add_voice(add, json_help="print what is written as JSON too")
     add.set_defaults(run=_run_check)
 
 
@@ -58,7 +60,14 @@ def _run_check(arguments: argparse.Namespace) -> int:
             rig, board, lens_c2=known_lens(rig, "c2"), announce=lambda what: _tell(f"{what} ...")
         )
     write_bytes(out, check_text(found).encode())
-    print(_text(found, out))
+    if arguments.json:
+        sys.stdout.write(check_text(found))
+    elif arguments.quiet:
+        for check in found.checks:
+            if not check.passed:
+                print(f"{check.name}: {check.detail}")
+    else:
+        print(_text(found, out))
     return NOT_FIT if found.failed else DONE
 
 

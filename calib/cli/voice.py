@@ -9,7 +9,7 @@ import json
 import math
 import os
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TextIO
 
 _COLOURS = {"red": "31", "yellow": "33", "green": "32"}
@@ -22,6 +22,12 @@ def add_voice(parser: argparse.ArgumentParser, *, json_help: str | None = None) 
     )
     if json_help is not None:
         parser.add_argument("--json", action="store_true", help=json_help)
+
+
+def records(table: Sequence[Sequence[str]]) -> list[dict[str, str]]:
+    """Return a table, heads first, as one object a row."""
+    head, *rows = table
+    return [dict(zip(head, row, strict=True)) for row in rows]
 
 
 def painted(text: str, colour: str, stream: TextIO) -> str:

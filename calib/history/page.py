@@ -9,6 +9,7 @@ from datetime import date
 from pathlib import Path
 
 from calib.core.errors import CalibError, InputError
+from calib.core.words import counted
 from calib.history.charts import charts, reference
 from calib.history.drawing import chart_rows, legend
 from calib.history.drift import drifts
@@ -96,7 +97,7 @@ def fleet_page(
     head = ["rig", "calibrations", "last", "charts", *([] if tolerance_mm is None else ["due"])]
     table = PlainTable("", head, [row for _, _, row in sorted(rows, key=lambda r: r[:2])])
     number = sum(alarms < 0 for alarms, _, _ in rows)
-    said = f"{len(rows)} rigs, {number} with an alarm."
+    said = f"{counted(len(rows), 'rig')}, {number or 'none'} with an alarm."
     return plain_page("All rigs", [Paragraph(said), table], generator=GENERATOR)
 
 

@@ -8,6 +8,7 @@ from datetime import date, timedelta
 import numpy as np
 
 from calib.core.errors import InputError
+from calib.core.words import counted
 from calib.history.charts import UNCERTAINTY_RISK, charts, reference, scatter_test
 from calib.history.due import LONGEST, Due, next_due
 from calib.history.entry import Entry
@@ -54,12 +55,15 @@ def notes(entries: Sequence[Entry], *, accepted: int = ACCEPTED) -> list[str]:
     """Return what a reader of the table must know of this history."""
     found = []
     if len(entries) <= accepted:
-        found.append(f"{len(entries)} of {accepted} calibrations at acceptance: no chart yet")
+        found.append(
+            f"{len(entries)} of {counted(accepted, 'calibration')} at acceptance: no chart yet"
+        )
     days = len({e.date for e in entries})
     if days < len(entries):
+        made = f"{counted(len(entries), 'calibration')} on {counted(days, 'day')}"
         found.append(
-            f"{len(entries)} calibrations on {days} days: if these are the days of computing, "
-            "state date under [certificate] in each dataset.toml"
+            f"{made}: if these are the days of computing, state date under [certificate] in each "
+            "dataset.toml"
         )
     if not all(e.has_serial for e in entries):
         found.append(

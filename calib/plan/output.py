@@ -86,6 +86,32 @@ def text(advice: Advice, start: Start) -> str:
     return "\n".join(lines) + "\n"
 
 
+def document(advice: Advice, start: Start) -> dict[str, Any]:
+    """Return the advice as a JSON object: depths and places in mm, u(z) relative to the depth."""
+    return {
+        "model": advice.model,
+        "rows_so_far": len(start.points_mm),
+        "notes": list(start.notes),
+        "depths_mm": advice.depths_mm.tolist(),
+        "u_rel_now": advice.before_rel.tolist(),
+        "u_rel_random": advice.random_rel.tolist(),
+        "targets": {
+            name: [
+                {
+                    "x_mm": float(x),
+                    "y_mm": float(y),
+                    "z_mm": float(z),
+                    "x1c": float(targets.x1c[i]),
+                    "alpha2_deg": float(np.rad2deg(targets.alpha2_rad[i])),
+                    "u_rel_after": targets.u_rel[i].tolist(),
+                }
+                for i, (x, y, z) in enumerate(targets.points_mm)
+            ]
+            for name, targets in advice.targets.items()
+        },
+    }
+
+
 def _line(name: str, u_rel: FloatArray, advice: Advice) -> str:
     return f"{name:10s}" + _figures(u_rel, advice)
 

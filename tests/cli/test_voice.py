@@ -221,3 +221,62 @@ def test_a_run_on_a_terminal_moves_between_its_stages(tmp_path: Path) -> None:
     assert process.wait() in (0, 3)
     os.close(keyboard)
     assert b"rigs" in b"".join(pieces)
+
+
+WITHOUT_JSON = {
+    "calib capture intrinsics": "guided by hand; its outcome is the folder",
+    "calib capture stereo": "guided by hand; its outcome is the folder",
+    "calib capture sweep": "guided by hand; its outcome is the folder",
+    "calib completion": "prints a script",
+    "calib history chart": "writes a drawing",
+    "calib history page": "writes pages",
+    "calib live": "serves a page",
+    "calib schema": "prints JSON as it is",
+    "calib simulate": "writes a dataset, truth.json in it",
+    "calib study": "writes scores.json",
+}
+WITHOUT_QUIET = {
+    name: why
+    for name, why in WITHOUT_JSON.items()
+    if name.split()[1] in ("capture", "completion", "live", "schema")
+}
+
+
+@pytest.mark.parametrize("prog", COMMANDS)
+def test_each_command_can_speak_to_programs_and_hardly_at_all(prog: str) -> None:
+    """A new command cannot forget it: the list is the parser's, exceptions say why."""
+    (leaf,) = (one for one in leaves(parser()) if one.prog == prog)
+    options = {option for action in leaf._actions for option in action.option_strings}
+    assert ("--json" in options) != (prog in WITHOUT_JSON)
+    assert ("--quiet" in options) != (prog in WITHOUT_QUIET)
+
+
+def test_history_plan_and_batch_in_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    data = dataset(tmp_path / "data")
+    advice = call(capsys, "plan", data, "--depth", 700, "--rows", 2, "--json")
+    assert advice.status == 0, advice.err
+    told = json.loads(advice.out)
+    assert told["depths_mm"] == [700]
+    for targets in told["targets"].values():
+        assert len(targets) == 2
+        assert targets[-1]["u_rel_after"][0] < told["u_rel_now"][0]
+    assert call(capsys, "plan", data, "--depth", 700, "--rows", 2, "-q").out == ""
+
+    (tmp_path / "bad").mkdir()
+    (tmp_path / "bad" / "dataset.toml").write_text("format = 1\n")
+    batch = call(capsys, "batch", tmp_path / "bad", "--out", tmp_path / "out", "--json")
+    assert batch.status == 2
+    (line,) = json.loads(batch.out)["datasets"]
+    assert (line["dataset"], line["result"]) == (str(tmp_path / "bad"), "refused")
+    kept = (tmp_path / "out" / "batch.html").read_bytes()
+    none = call(capsys, "batch", tmp_path / "nothing-*", "--out", tmp_path / "out")
+    assert (none.status, none.out) == (2, "")
+    assert "not there" in none.err
+    assert (tmp_path / "out" / "batch.html").read_bytes() == kept
+
+    index = tmp_path / "h.sqlite"
+    (tmp_path / "empty").mkdir()
+    found = call(capsys, "history", "index", tmp_path / "empty", "--index", index, "--json")
+    assert json.loads(found.out)["calibrations"] == 0
+    rigs = call(capsys, "history", "show", "--index", index, "--json")
+    assert json.loads(rigs.out) == {"rigs": []}

@@ -305,7 +305,7 @@ def test_calibrations_of_one_day_are_in_order_of_time(tmp_path: Path) -> None:
     update(tmp_path / "i.sqlite", [tmp_path / "runs"])
     entries = history(tmp_path / "i.sqlite", "R")
     assert [Path(e.path).name for e in entries] == ["b", "a", "c"]
-    assert any("3 calibrations on 1 days" in note for note in notes(entries))
+    assert any("3 calibrations on 1 day:" in note for note in notes(entries))
 
 
 @pytest.mark.parametrize(

@@ -178,7 +178,7 @@ def mistakes() -> str:
         shares = ("named", "wrong_name", "in_evidence", "named_in_evidence")
         cells = [study.percent(MISTAKES, subject, "", share, digits=0) for share in shares]
         rows.append([str(count), str(study.rigs(MISTAKES, subject, "", "named")), *cells])
-    heads = ("rows", "mistakes that matter", "named", "wrong name", "in evidence",
+    heads = ("rows", "rigs", "named", "wrong name", "in evidence",
              "named, of those in evidence")  # fmt: skip
     return _table(heads, rows)
 
@@ -197,7 +197,7 @@ def by_mistake() -> str:
         str(study.rigs(MISTAKES, clean, "", "false_names")),
         study.percent(MISTAKES, clean, "", "false_names"),
     ])  # fmt: skip
-    return _table(("mistake", "cases", "named"), rows)
+    return _table(("mistake", "rigs", "named"), rows)
 
 
 TABLES: dict[str, Callable[[], str]] = {

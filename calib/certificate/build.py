@@ -46,7 +46,7 @@ from calib.uncertainty.budget import COVERAGE
 from calib.uncertainty.certified import CertifiedDepth, CheckedDepth
 from calib.uncertainty.conformity import Conformity, ToleranceRule, worst
 from calib.uncertainty.evidence import Evidence
-from calib.uncertainty.format import fixed, percent_down, plain, upwards
+from calib.uncertainty.format import fixed, percent_down, plain, upwards, upwards_to
 
 UNKNOWN_COUNTRY = "ZZ"
 """User-assigned in ISO 3166-1: the manifest states no country."""
@@ -155,7 +155,7 @@ def _method(c: CalibrationSummary) -> str:
     if c.noise_factor > 1:
         widened = (
             f" The stated uncertainties of a reading were widened by a factor of "
-            f"{upwards(c.noise_factor)}, as the residuals of the calibration ask."
+            f"{fixed(c.noise_factor, 2)}, as the residuals of the calibration ask."
         )
     return (
         f"Turning gaze plane (Xu and Wang 2017, doi 10.1177/1729881417715984), model {c.model}"
@@ -191,9 +191,15 @@ def _summary(evidence: Evidence, calibration: CalibrationSummary) -> str:
     return (
         f"Calibrated from {low} mm to {high} mm. At the certified depths in this range, depth is "
         f"measured to ±{upwards(100 * worst_percent)} % or better (95 %): "
-        f"±{upwards(_half(first))} mm at {plain(first.result.z_mm)} mm, "
-        f"±{upwards(_half(last))} mm at {plain(last.result.z_mm)} mm."
+        f"±{_half_text(first)} mm at {plain(first.result.z_mm)} mm, "
+        f"±{_half_text(last)} mm at {plain(last.result.z_mm)} mm."
     )
+
+
+def _half_text(d: CertifiedDepth) -> str:
+    """Return the larger side of the interval, rounded up at the place of U in the table below."""
+    u = d.result.standard_uncertainty_mm
+    return upwards(_half(d)) if u is None else upwards_to(_half(d), uncertainty=u)
 
 
 def _half(d: CertifiedDepth) -> float:

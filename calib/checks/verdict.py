@@ -244,9 +244,9 @@ def gaze_warnings(gaze: GazeResult) -> tuple[str, ...]:
         fit = gaze.robust[model]
         if fit.noise_scale > NOISE_SCALE_REMARK:
             found.append(
-                f"residuals of {model} are {fit.noise_scale:.1f} times what the manifest's "
-                f"uncertainties lead to expect; all uncertainties are widened accordingly "
-                f"({NOISE_SCALE})"
+                f"residuals of {model} are {fit.noise_scale:.2f} times what the manifest's "
+                f"uncertainties lead to expect; those of a reading are widened by "
+                f"{_widened(gaze):.2f}, as the ratio is uncertain too ({NOISE_SCALE})"
             )
         found += _too_careful(fit)
         zero = float(fit.theta[INDEX["delta2_rad"]])
@@ -282,6 +282,10 @@ def gaze_warnings(gaze: GazeResult) -> tuple[str, ...]:
             f"base/convex is not proved optimal: duality gap {gaze.convex.duality_gap:.1e}"
         )
     return tuple(found)
+
+
+def _widened(gaze: GazeResult) -> float:
+    return 1.0 if gaze.calibrated is None else gaze.calibrated.noise_factor
 
 
 def _too_careful(fit: RobustFit) -> list[str]:

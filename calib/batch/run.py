@@ -12,6 +12,20 @@ from calib.core.errors import UsageError
 from calib.stages.cluster import run_on_cluster
 
 
+def refuse_absent(datasets: Sequence[Path]) -> None:
+    """Raise where a dataset is not there at all, as when a pattern of the shell matches nothing.
+
+    Raises
+    ------
+    UsageError
+        With the first of them.
+    """
+    absent = [str(path) for path in datasets if not path.exists()]
+    if absent:
+        more = f" and {len(absent) - 1} more" if len(absent) > 1 else ""
+        raise UsageError(f"{absent[0]}{more}: not there; give folders with a dataset.toml")
+
+
 def tasks_of(
     datasets: Sequence[Path], out: Path, *, seed: int = 0, force: bool = False
 ) -> tuple[Task, ...]:
@@ -22,13 +36,8 @@ def tasks_of(
     Raises
     ------
     UsageError
-        If a dataset is not there at all, as where a pattern of the shell matches nothing, or if two
-        runs would still share a folder.
+        If two runs would still share a folder.
     """
-    absent = [str(path) for path in datasets if not path.exists()]
-    if absent:
-        more = f" and {len(absent) - 1} more" if len(absent) > 1 else ""
-        raise UsageError(f"{absent[0]}{more}: not there; give folders with a dataset.toml")
     real = [path.resolve() for path in datasets]
     names = Counter(path.name for path in real)
     found: dict[str, Path] = {}

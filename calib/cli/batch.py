@@ -50,13 +50,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Calibrate all, write the summary, return the status of the worst."""
-    from calib.batch.run import run_batch, tasks_of
+    from calib.batch.run import refuse_absent, run_batch, tasks_of
     from calib.batch.summary import counts, csv_text, document, line_of, page
     from calib.cli.console import Console
     from calib.stages.files import make_folder, write_bytes
     from calib.stages.parallel import processors
 
     interrupt_on(signal.SIGINT, signal.SIGTERM)
+    refuse_absent(arguments.datasets)
     tasks = tasks_of(arguments.datasets, arguments.out, seed=arguments.seed, force=arguments.force)
     # Begun at once: the folder of an unfinished batch is known as one.
     make_folder(arguments.out)

@@ -42,12 +42,14 @@ class MeasuringCamera(CameraMatrix):
 class Lens(CameraMatrix):
     """A solve of one camera's intrinsics."""
 
-    lens_model: str
+    lens_model: str = Field(description="in the words of the solver; OPENCVn has n coefficients")
     std: Vector | None = Field(None, description="of fx, fy, cx, cy, distortion")
     rms_px: float | None = Field(None, description="of the corners' residuals")
     rejected_points: int | None = Field(None, description="corners left out as outliers")
     views: int | None = Field(None, description="pictures used")
-    board_warp_mm: Vector | None = None
+    board_warp_mm: Vector | None = Field(
+        None, description="bow of the board along its x and y, mm, where the solve has it"
+    )
 
 
 class JointLens(Part):
@@ -64,14 +66,16 @@ class Intrinsics(Lens):
     source: Literal["mrcal", "opencv", "given"] = Field(
         description="whose solve of the camera's own pictures; a joint solve may have refined it"
     )
-    joint: JointLens | None = None
+    joint: JointLens | None = Field(None, description="where a joint solve refined them")
     covariance: Matrix | None = Field(None, description="of fx, fy, cx, cy, distortion; px and 1")
     dispersion: float | None = Field(
         None,
         description="variance as views show it over that of corner noise alone; in covariance",
     )
     selection: str | None = Field(None, description="why this solve was selected, in words")
-    rejected_views: tuple[str, ...] | None = None
+    rejected_views: tuple[str, ...] | None = Field(
+        None, description="pictures left out: their corners contradict the others"
+    )
     alternatives: dict[str, dict[str, Lens]] | None = Field(
         None, description="all solves, by backend and lens model"
     )

@@ -13,14 +13,14 @@ from calib.geometry.parameters import PARAMETERS, IdentifiedBy
 class Estimate(Part):
     """A value with its standard uncertainty."""
 
-    value: float
+    value: float = Field(description="best estimate")
     std: float = Field(description="standard uncertainty")
 
 
 class Parameter(Estimate):
     """An estimated parameter."""
 
-    identified_by: IdentifiedBy | None = None
+    identified_by: IdentifiedBy | None = Field(None, description="what decided it")
     std_over_data_only_std: float | None = Field(None, description="robust fits")
     q2_5: float | None = Field(
         None,
@@ -29,7 +29,9 @@ class Parameter(Estimate):
         description="posteriors, as all below",
     )
     q50: float | None = Field(None, description="median")
-    q97_5: float | None = Field(None, validation_alias="q97.5", serialization_alias="q97.5")
+    q97_5: float | None = Field(
+        None, validation_alias="q97.5", serialization_alias="q97.5", description="97.5 % quantile"
+    )
     ess: float | None = Field(None, description="effective draws in the bulk")
     ess_tail: float | None = Field(None, description="effective draws in the tails")
     rhat: float | None = Field(None, description="R-hat across ensembles")
@@ -44,7 +46,9 @@ class Derived(Estimate):
         serialization_alias="q2.5",
         description="posteriors, as q97.5",
     )
-    q97_5: float | None = Field(None, validation_alias="q97.5", serialization_alias="q97.5")
+    q97_5: float | None = Field(
+        None, validation_alias="q97.5", serialization_alias="q97.5", description="97.5 % quantile"
+    )
 
 
 _UNITS = ", ".join(f"{p.name} ({p.meaning})" for p in PARAMETERS)
@@ -68,7 +72,7 @@ class Fit(Part):
 
     parameters: Annotated[dict[str, Parameter], Field(description=_UNITS)]
     names: tuple[str, ...] = Field(description="order of the covariance")
-    covariance: Matrix
+    covariance: Matrix = Field(description="of the parameters, in the order of names")
     derived: dict[str, Derived] | None = Field(None, description="effective_baseline_mm: L_b + e")
     residual_mrad: Vector | None = Field(None, description="angle of each row to its gaze plane")
     sigma_mrad: float | None = Field(
@@ -77,7 +81,9 @@ class Fit(Part):
     outliers: tuple[str, ...] | None = Field(
         None, description="ids of rows that disagree with the others"
     )
-    diagnostics: dict[str, Any] | None = None
+    diagnostics: dict[str, Any] | None = Field(
+        None, description="figures of the method that tell whether to believe it"
+    )
     converged: bool | None = Field(None, description="posteriors, as all below")
     tau: dict[str, float] | None = Field(None, description="autocorrelation time, steps")
     draws: int | None = Field(None, description="of the posterior that were kept")
@@ -91,7 +97,7 @@ class Fit(Part):
 class Score(Part):
     """How well one model predicts."""
 
-    model: str
+    model: str = Field(description="its name")
     loo: float = Field(description="expected log predictive density, leave one out, nats")
     loo_se: float = Field(description="standard error of loo")
     aicc: float | None = Field(

@@ -33,7 +33,7 @@ class Identifiability(Part):
     """What the rows can tell of one model."""
 
     names: tuple[str, ...] = Field(description="free parameters, the order of the correlation")
-    parameters: dict[str, Known]
+    parameters: dict[str, Known] = Field(description="how well each is known")
     combinations: tuple[Combination, ...] = Field(description="the best determined first")
     correlation: Matrix = Field(description="of the parameters, with sweep and priors")
     condition: float | None = Field(

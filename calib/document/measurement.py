@@ -23,50 +23,62 @@ SUM_OF_WEIGHTS = 1e-6
 class Spread(FinitePart):
     """Standard deviation of a normal part and full width of a rectangular one."""
 
-    normal: NotNegative
-    width: NotNegative
+    normal: NotNegative = Field(description="standard uncertainty of the normal part")
+    width: NotNegative = Field(description="full width of the rectangular part")
 
 
 class Stated(FinitePart):
     """What the manifest states of readings."""
 
-    u_x1c: NotNegative
-    encoder_step_rad: NotNegative
-    u_alpha2_rad: NotNegative
+    u_x1c: NotNegative = Field(description="standard uncertainty of x1c, 1")
+    encoder_step_rad: NotNegative = Field(description="step of the encoder, rad")
+    u_alpha2_rad: NotNegative = Field(
+        description="standard uncertainty of a reading beyond its step, rad"
+    )
 
 
 class Reading(FinitePart):
     """Errors of a reading."""
 
-    x1c: Spread
-    y1c: Spread
-    alpha2_rad: Spread
-    gaze_residual_rad: Spread
+    x1c: Spread = Field(description="of the normalised coordinate, 1")
+    y1c: Spread = Field(description="of the normalised coordinate, 1")
+    alpha2_rad: Spread = Field(description="of the encoder's reading, rad")
+    gaze_residual_rad: Spread = Field(
+        description="of the angle of the target from C2's centre column, rad"
+    )
 
 
 class Shared(FinitePart):
     """Errors that readings have in common with the rows."""
 
-    names: tuple[str, ...]
-    factor: Matrix
-    with_parameters: Matrix
-    sources: tuple[str, ...] | None = None
+    names: tuple[str, ...] = Field(
+        description="of the quantities that err in common: intrinsics and pose of the cameras"
+    )
+    factor: Matrix = Field(description="of their covariance: quantities by independent errors")
+    with_parameters: Matrix = Field(
+        description="by how much one unit of each error moved each parameter"
+    )
+    sources: tuple[str, ...] | None = Field(
+        None, description="where each error comes from; absent in older files"
+    )
 
 
 class SharedByRows(FinitePart):
     """Errors that the rows alone have in common."""
 
-    with_parameters: Matrix
-    sources: tuple[str, ...]
+    with_parameters: Matrix = Field(
+        description="by how much one unit of each error moved each parameter"
+    )
+    sources: tuple[str, ...] = Field(description="where each error comes from")
 
 
 class ModelPart(FinitePart):
     """One model as it measures."""
 
-    model: str
+    model: str = Field(description="its name")
     names: tuple[str, ...] = Field(description="order of values and covariance")
     values: Vector = Field(description="of the parameters")
-    covariance: Matrix
+    covariance: Matrix = Field(description="of the parameters")
     noise_factor: Positive = Field(
         description="by how much the rows proved the stated uncertainties of a reading too small"
     )
@@ -88,20 +100,24 @@ class ModelPart(FinitePart):
 class AveragePart(ModelPart):
     """One model in the average."""
 
-    weight: Annotated[float, Field(ge=0, le=1)]
-    with_parameters: Matrix | None = None
+    weight: Annotated[float, Field(ge=0, le=1)] = Field(description="of the model in the average")
+    with_parameters: Matrix | None = Field(
+        None, description="by how much one unit of each shared error moved each parameter"
+    )
 
 
 class ByOneModel(ModelPart):
     """All that measuring by one model needs."""
 
-    stated: Stated
-    reading: Reading
+    stated: Stated = Field(description="what the manifest states of a reading")
+    reading: Reading = Field(description="errors of a reading, as the rows bear them out")
     calibrated_depth_mm: tuple[Positive, Positive] = Field(
         description="ends of the depths that the calibration covers"
     )
-    shared: Shared | None = None
-    shared_by_rows: SharedByRows | None = None
+    shared: Shared | None = Field(None, description="errors that readings share with the rows")
+    shared_by_rows: SharedByRows | None = Field(
+        None, description="errors that rows alone have in common"
+    )
 
     @property
     def loads(self) -> int:
@@ -131,14 +147,20 @@ class ByOneModel(ModelPart):
 class AdjustedMeasurement(ByOneModel):
     """All that measuring by the adjustment needs."""
 
-    cameras: dict[Literal["c1", "c2"], MeasuringCamera]
+    cameras: dict[Literal["c1", "c2"], MeasuringCamera] = Field(
+        description="for readings in pixels"
+    )
 
 
 class Measurement(ByOneModel):
     """All that measuring needs: by the rows, of the selected model; by the adjustment."""
 
-    average: tuple[AveragePart, ...] = Field((), exclude_if=not_)
-    adjustment: AdjustedMeasurement | None = None
+    average: tuple[AveragePart, ...] = Field(
+        (), exclude_if=not_, description="all fitted models with their weights"
+    )
+    adjustment: AdjustedMeasurement | None = Field(
+        None, description="the instrument by the adjustment"
+    )
 
     @model_validator(mode="after")
     def _shares_belong_to_it(self) -> Self:

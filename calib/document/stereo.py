@@ -13,19 +13,19 @@ from calib.document.part import Matrix, Part, Vector
 class StereoSolve(Part):
     """One solve of the pose."""
 
-    backend: str
-    intrinsics: str
+    backend: str = Field(description="who solved it")
+    intrinsics: str = Field(description="whose lenses it holds, or joint")
     pose_12: Vector = Field(description="Rodrigues vector and translation")
-    std: Vector
-    rms_px: float
+    std: Vector = Field(description="standard uncertainties of pose_12, rad and mm")
+    rms_px: float = Field(description="of the residuals")
 
 
 class PairTarget(Part):
     """The target of one pair."""
 
-    pair: str
-    position_mm: Vector
-    u_z_mm: float
+    pair: str = Field(description="what the names of its pictures have in common")
+    position_mm: Vector = Field(description="x, y, z in frame C1")
+    u_z_mm: float = Field(description="standard uncertainty of z, mm")
 
 
 class Pose(Part):
@@ -57,26 +57,30 @@ class StereoPart(Pose):
     baseline_std_mm: float | None = Field(description="its standard uncertainty")
     rms_px: float | None = Field(description="of the pairs' residuals")
     pairs: int = Field(description="how many were used")
-    alternatives: tuple[StereoSolve, ...]
-    targets: tuple[PairTarget, ...]
+    alternatives: tuple[StereoSolve, ...] = Field(description="other solves")
+    targets: tuple[PairTarget, ...] = Field(
+        description="what the pairs say of targets on their boards"
+    )
 
 
 class Measured(Part):
     """Jointly measured parameters."""
 
-    names: tuple[str, ...]
-    mean: Vector
-    covariance: Matrix
+    names: tuple[str, ...] = Field(description="of the parameters")
+    mean: Vector = Field(description="estimates, in the order of names")
+    covariance: Matrix = Field(description="in the order of names")
 
 
 class SweepPart(Part):
     """The yaw axis by a sweep of C2 before boards at rest."""
 
-    axis_direction_c2: Vector
-    axis_foot_c2_mm: Vector
-    eccentricity_mm: Estimate
-    gaze_roll_rad: Estimate
-    encoder_scale: Estimate
-    measured: Measured
-    rms_px: float
-    images: int
+    axis_direction_c2: Vector = Field(description="unit vector along the yaw axis, frame of C2")
+    axis_foot_c2_mm: Vector = Field(
+        description="point of the axis nearest to C2's centre, frame of C2, mm"
+    )
+    eccentricity_mm: Estimate = Field(description="e, mm")
+    gaze_roll_rad: Estimate = Field(description="roll of C2 about its optical axis, rad")
+    encoder_scale: Estimate = Field(description="scale error of the encoder about 90 deg, 1")
+    measured: Measured = Field(description="what the rows' fits take from it, jointly")
+    rms_px: float = Field(description="of the residuals")
+    images: int = Field(description="pictures used")

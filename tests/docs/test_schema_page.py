@@ -36,3 +36,10 @@ def test_pages_that_tell_of_the_table_say_from_where_depth_counts(page: Path) ->
     text = " ".join(page.read_text().split())
     assert "optical centre" in text
     assert "z_from" in text
+
+
+def test_every_key_says_what_it_means() -> None:
+    page = (PROJECT / "docs" / "calibration-json.md").read_text()
+    rows = [line for line in page.splitlines() if line.startswith("| `")]
+    assert len(rows) > 200
+    assert [row for row in rows if row.endswith("|  |")] == []

@@ -26,7 +26,8 @@ from calib.fit.robust import RobustFit
 from calib.geometry.misclosure import depth_jacobian
 from calib.geometry.parameters import INDEX, REFERENCE_OFFSET
 from calib.geometry.plane import OBSERVABLE
-from calib.instrument.calibrated import CalibratedInstrument, DepthTable, reference_std
+from calib.instrument.calibrated import CalibratedInstrument, DepthTable
+from calib.instrument.validation import reference_std
 from calib.rows.from_table import ValidationRows
 from calib.rows.observations import Observations
 

@@ -31,7 +31,7 @@ RATE_PRIOR = np.log(0.1), 1.5
 rig whose drift between calibrations is a third of their uncertainty, within a factor 4.5 (95 % a
 factor 19 in standard deviation)."""
 
-JUMPS = 0.04
+JUMPS = 0.05
 """Chance of a jump in a typical interval: a knock, a slipped coupling."""
 
 JUMP_STD = 4.0

@@ -5,12 +5,12 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator
 
 from calib.core.arrays import FloatArray
@@ -29,42 +29,55 @@ def hover_points(figure: Figure) -> str:
 
     The figure must have been drawn, or saved, for its layout to stand.
     """
-    found = [point for axes in figure.axes for point in _points(axes)]
-    step = max(1, -(-len(found) // MOST_POINTS))
+    found = [points for axes in figure.axes for points in _lines(axes)]
+    step = max(1, -(-sum(map(len, found)) // MOST_POINTS))
     width, height = figure.bbox.width, figure.bbox.height
-    return json.dumps(
-        [
-            [round(x / width, 4), round(1 - y / height, 4), text]
-            for x, y, text in found[::step]
-            if 0 <= x <= width and 0 <= y <= height
-        ],
-        ensure_ascii=False,
-        separators=(",", ":"),
-    )
+    told, before = [], 0
+    for points in found:
+        # Every `step`-th of all; words only of these, as a long table has a million points.
+        for i in range(-before % step, len(points), step):
+            x, y = points.places[i].tolist()
+            if 0 <= x <= width and 0 <= y <= height:
+                told.append([round(x / width, 4), round(1 - y / height, 4), points.said(i)])
+        before += len(points)
+    return json.dumps(told, ensure_ascii=False, separators=(",", ":"))
 
 
-def _points(axes: Axes) -> Iterator[tuple[float, float, str]]:
+@dataclass(frozen=True)
+class _Points:
+    """The points of a line: values and where these are drawn, shape (n, 2)."""
+
+    axes: Axes
+    head: str
+    values: FloatArray
+    places: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.places)
+
+    def said(self, i: int) -> str:
+        """Return a point's values in words."""
+        x, y = self.values[i]
+        return f"{self.head}{_said(self.axes.xaxis, x)}\n{_said(self.axes.yaxis, y)}"
+
+
+def _lines(axes: Axes) -> Iterator[_Points]:
     for line in axes.get_lines():
         if line.get_marker() in (None, "None", "", " "):
             continue
         if not all(line.get_transform().contains_branch_seperately(axes.transData)):
             continue
-        yield from _of_line(axes, line)
-
-
-def _of_line(axes: Axes, line: Line2D) -> Iterator[tuple[float, float, str]]:
-    try:
-        values = np.stack(
-            [np.asarray(line.get_xdata(), float), np.asarray(line.get_ydata(), float)]
-        )
-    except (TypeError, ValueError):
-        return
-    places: FloatArray = line.get_transform().transform(values.T)
-    label = str(line.get_label())
-    head = "" if label.startswith("_") else f"{_words(label)}\n"
-    for (x, y), (px, py) in zip(values.T, places, strict=True):
-        if np.isfinite([px, py]).all():
-            yield float(px), float(py), f"{head}{_said(axes.xaxis, x)}\n{_said(axes.yaxis, y)}"
+        try:
+            values = np.stack(
+                [np.asarray(line.get_xdata(), float), np.asarray(line.get_ydata(), float)], axis=1
+            )
+        except (TypeError, ValueError):
+            continue
+        places: FloatArray = line.get_transform().transform(values)
+        drawn = np.isfinite(places).all(axis=1)
+        label = str(line.get_label())
+        head = "" if label.startswith("_") else f"{_words(label)}\n"
+        yield _Points(axes, head, values[drawn], places[drawn])
 
 
 def _said(axis: Axis, value: float) -> str:

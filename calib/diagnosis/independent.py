@@ -93,6 +93,9 @@ def diagnose_references(
 ) -> Diagnosis:
     """Return the diagnosis with what independent references add to it.
 
+    Nothing where the rows themselves show a mistake that matters: an instrument that is calibrated
+    by such rows contradicts every reference.
+
     Parameters
     ----------
     found
@@ -105,7 +108,7 @@ def diagnose_references(
         Uncertainty of depth, against which effects are held.
     """
     seen = differences(calibrated, fit, rows, validation, lengths)
-    if len(seen) < LEAST:
+    if found.left_out is not None or len(seen) < LEAST:
         return found
     trials = [_Trial.of(name, seen, by(seen)) for name, by in _MISTAKES]
     ranked = sorted((t for t in trials if t is not None), key=lambda t: -t.attempt.gain)

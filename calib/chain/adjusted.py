@@ -8,14 +8,25 @@ from typing import Any
 
 from calib.chain.images import ImageStages, image_observations
 from calib.chain.rows import gaze_setup, validation_setup
+from calib.core.gate import Gate
 from calib.dataset.contents import Dataset
 from calib.dataset.tables import LengthTable
 from calib.fit.robust import RobustFit
 from calib.images.adjustment.result import Adjustment
-from calib.instrument.adjusted import ADJUSTMENT, Choice, Described, adjust_instrument
+from calib.instrument.adjusted import (
+    ADJUSTMENT,
+    AS_ASKED,
+    ROWS,
+    Choice,
+    Described,
+    adjust_instrument,
+    agreement,
+    choose,
+)
 from calib.instrument.averaging import without_draws
-from calib.instrument.calibrated import CalibratedInstrument, measure_validation, tabulate_depths
+from calib.instrument.calibrated import CalibratedInstrument, tabulate_depths
 from calib.instrument.evidence import gather_evidence
+from calib.instrument.validation import measure_validation
 from calib.results.calibration import GazeResult
 from calib.rows.from_table import Setup, ValidationRows, observe_validation
 from calib.rows.observations import Observations
@@ -24,6 +35,42 @@ from calib.stages.store import Staged, Store, gather, given, optional, stage
 
 BY = "adjusted "
 """Before the names of stages with cameras and instrument of the adjustment."""
+
+
+def chosen(
+    dataset: Dataset,
+    method: str,
+    gaze: GazeResult,
+    rows: Observations,
+    adjustment: Adjustment,
+) -> Choice:
+    """Return from what the instrument is taken; `method` is what the user asks for."""
+    agrees = None
+    if gaze.calibrated is not None:
+        agrees = agreement(
+            adjustment,
+            rows,
+            noise_factor=gaze.calibrated.noise_factor,
+            outliers=gaze.robust[gaze.calibrated.model].outliers,
+        )
+    corrected = dataset.manifest.corrections is not None
+    return choose(method, adjustment, agrees, corrected=corrected)
+
+
+def adjustment_gates(
+    adjustment: Staged[Adjustment] | None, choice: Choice | None
+) -> tuple[Gate, ...]:
+    """Return the gates of the adjustment where the instrument is taken from it."""
+    if adjustment is None or choice is None or choice.method == ROWS:
+        return ()
+    return adjustment.value.gates
+
+
+def not_used(choice: Choice | None) -> tuple[str, ...]:
+    """Return a warning where there is an adjustment that the rule has not taken."""
+    if choice is None or choice.method != ROWS or choice.reason == AS_ASKED:
+        return ()
+    return (f"the adjustment of all pictures is not used: {choice.reason}",)
 
 
 def with_adjustment(

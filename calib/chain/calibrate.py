@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.chain.adjusted import certified, with_adjustment
+from calib.chain.adjusted import adjustment_gates, certified, chosen, not_used, with_adjustment
 from calib.chain.adjustment import adjustment_stage
 from calib.chain.images import ImageStages, image_observations, image_stages
 from calib.chain.outputs import write_outputs
@@ -18,7 +18,6 @@ from calib.checks.prior_conflict import prior_warnings
 from calib.checks.stereo_pose import pose_warnings
 from calib.checks.verdict import all_gates, all_warnings, disagreements
 from calib.core.errors import InputError
-from calib.core.gate import Gate
 from calib.dataset.contents import Dataset
 from calib.dataset.given_lens import given_lens_covariance
 from calib.dataset.tables import LengthTable
@@ -36,18 +35,13 @@ from calib.fit.priors import Priors
 from calib.fit.robust import RobustFit, fit_model
 from calib.fit.scale import scaled_defaults
 from calib.geometry.parameters import MODELS
-from calib.images.adjustment.result import Adjustment
 from calib.instrument.adjusted import (
-    AS_ASKED,
     BY_RULE,
-    ROWS,
-    Choice,
-    agreement,
-    choose,
     refuse_missing,
 )
 from calib.instrument.averaging import build_average
-from calib.instrument.calibrated import build_instrument, measure_validation, tabulate_depths
+from calib.instrument.calibrated import build_instrument, tabulate_depths
+from calib.instrument.validation import measure_validation
 from calib.mirror.gaze import mirror_gaze
 from calib.mirror.problem import Mirror, mirror_priors
 from calib.results.calibration import Calibration, GazeResult
@@ -133,7 +127,7 @@ def calibrate(
             else:
                 gaze = _gaze_chain(dataset, options, store, images, rows)
         if gaze is not None and adjustment is not None and adjustment.failed is None:
-            choice = _chosen(dataset, options, gaze, rows.value, adjustment.value)
+            choice = chosen(dataset, options.method, gaze, rows.value, adjustment.value)
             gaze = with_adjustment(
                 dataset, store, images, gaze, adjustment, choice, seed=options.seed
             )
@@ -150,13 +144,13 @@ def calibrate(
             gaze=gaze,
             adjustment=None if adjustment is None else adjustment.get(),
             not_adjusted=None if adjustment is None else adjustment.failed,
-            gates=(*all_gates(result, gaze, failures), *_adjustment_gates(adjustment, choice)),
+            gates=(*all_gates(result, gaze, failures), *adjustment_gates(adjustment, choice)),
             warnings=(
                 *dataset.warnings,
                 *_combined(dataset, gaze),
                 *all_warnings(result, gaze),
                 *(() if gaze is None else prior_warnings(gaze, row_priors(dataset))),
-                *_not_used(choice),
+                *not_used(choice),
                 *pose_warnings(dataset, result.stereo, gaze),
                 *contradictions(
                     result, {n: (p.mean, p.std) for n, p in dataset.manifest.published.items()}
@@ -171,48 +165,12 @@ def calibrate(
     return Run(calibration, tuple(store.durations), tuple(store.reused), written)
 
 
-def _chosen(
-    dataset: Dataset,
-    options: Options,
-    gaze: GazeResult,
-    rows: Observations,
-    adjustment: Adjustment,
-) -> Choice:
-    """Return from what the instrument is taken."""
-    agrees = None
-    if gaze.calibrated is not None:
-        agrees = agreement(
-            adjustment,
-            rows,
-            noise_factor=gaze.calibrated.noise_factor,
-            outliers=gaze.robust[gaze.calibrated.model].outliers,
-        )
-    corrected = dataset.manifest.corrections is not None
-    return choose(options.method, adjustment, agrees, corrected=corrected)
-
-
 def _combined(dataset: Dataset, gaze: GazeResult | None) -> tuple[str, ...]:
     """Return a warning if gazes were repeated."""
     if dataset.gaze is None or gaze is None:
         return ()
     told = repetition_warning(dataset.gaze, gaze.rows)
     return () if told is None else (told,)
-
-
-def _adjustment_gates(
-    adjustment: Staged[Adjustment] | None, choice: Choice | None
-) -> tuple[Gate, ...]:
-    """Return the gates of the adjustment where the instrument is taken from it."""
-    if adjustment is None or choice is None or choice.method == ROWS:
-        return ()
-    return adjustment.value.gates
-
-
-def _not_used(choice: Choice | None) -> tuple[str, ...]:
-    """Return a warning where there is an adjustment that the rule has not taken."""
-    if choice is None or choice.method != ROWS or choice.reason == AS_ASKED:
-        return ()
-    return (f"the adjustment of all pictures is not used: {choice.reason}",)
 
 
 def _gaze_chain(

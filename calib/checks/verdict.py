@@ -22,7 +22,8 @@ from calib.geometry.parameters import INDEX, PARAMETERS
 from calib.images.result import ImageResult
 from calib.instrument.adjusted import ROWS
 from calib.instrument.averaging import doubt_of
-from calib.instrument.calibrated import DepthTable, normalised_error
+from calib.instrument.calibrated import DepthTable
+from calib.instrument.validation import normalised_error
 from calib.results.calibration import GazeResult
 
 NOISE_SCALE_LIMIT = 5.0

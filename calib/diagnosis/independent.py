@@ -26,7 +26,8 @@ from calib.fit.robust import RobustFit
 from calib.geometry.misclosure import depth_jacobian
 from calib.geometry.parameters import INDEX, REFERENCE_OFFSET
 from calib.geometry.plane import OBSERVABLE
-from calib.instrument.calibrated import CalibratedInstrument, DepthTable, reference_std
+from calib.instrument.calibrated import CalibratedInstrument, DepthTable
+from calib.instrument.validation import reference_std
 from calib.rows.from_table import ValidationRows
 from calib.rows.observations import Observations
 
@@ -92,6 +93,9 @@ def diagnose_references(
 ) -> Diagnosis:
     """Return the diagnosis with what independent references add to it.
 
+    Nothing where the rows themselves show a mistake that matters: an instrument that is calibrated
+    by such rows contradicts every reference.
+
     Parameters
     ----------
     found
@@ -104,7 +108,7 @@ def diagnose_references(
         Uncertainty of depth, against which effects are held.
     """
     seen = differences(calibrated, fit, rows, validation, lengths)
-    if len(seen) < LEAST:
+    if found.left_out is not None or len(seen) < LEAST:
         return found
     trials = [_Trial.of(name, seen, by(seen)) for name, by in _MISTAKES]
     ranked = sorted((t for t in trials if t is not None), key=lambda t: -t.attempt.gain)

@@ -16,12 +16,8 @@ from calib.geometry.misclosure import misclosure
 from calib.geometry.parameters import INDEX, embed
 from calib.geometry.plane import OBSERVABLE
 from calib.images.adjustment.result import AdjustedModel, Adjustment
-from calib.instrument.calibrated import (
-    EVALUATION,
-    CalibratedInstrument,
-    DepthTable,
-    ValidationResult,
-)
+from calib.instrument.calibrated import EVALUATION, CalibratedInstrument, DepthTable
+from calib.instrument.validation import ValidationResult
 from calib.rows.common_errors import Shared
 from calib.rows.from_table import CameraSet, RowSettings, Setup
 from calib.rows.observations import Observations

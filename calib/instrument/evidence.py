@@ -11,7 +11,8 @@ from calib.core.arrays import IntArray
 from calib.core.errors import EstimationError
 from calib.dataset.tables import LengthTable
 from calib.geometry.plane import OBSERVABLE, gaze_at
-from calib.instrument.calibrated import CalibratedInstrument, ValidationResult, reference_std
+from calib.instrument.calibrated import CalibratedInstrument
+from calib.instrument.validation import ValidationResult, reference_std
 from calib.rows.from_table import ValidationRows
 from calib.rows.observations import Observations
 from calib.uncertainty.certified import (

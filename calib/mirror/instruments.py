@@ -10,7 +10,8 @@ from calib.core.arrays import FloatArray
 from calib.geometry.mirror import POINT, mirror_matrix, mirror_readings, signed, signs
 from calib.geometry.parameters import GAZED_BASELINE
 from calib.instrument.averaging import ModelAverage
-from calib.instrument.calibrated import CalibratedInstrument, ValidationResult
+from calib.instrument.calibrated import CalibratedInstrument
+from calib.instrument.validation import ValidationResult
 from calib.mirror.problem import Mirror
 from calib.rows.from_table import Setup
 from calib.uncertainty.budget import Budget, BudgetRow, CorrelationRow

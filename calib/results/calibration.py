@@ -21,7 +21,8 @@ from calib.images.adjustment.result import Adjustment
 from calib.images.result import ImageResult
 from calib.instrument.adjusted import ADJUSTMENT, Choice, Described
 from calib.instrument.averaging import ModelAverage
-from calib.instrument.calibrated import CalibratedInstrument, DepthTable, ValidationResult
+from calib.instrument.calibrated import CalibratedInstrument, DepthTable
+from calib.instrument.validation import ValidationResult
 from calib.rows.observations import Observations
 from calib.rows.sketch import RowSketch
 from calib.uncertainty.evidence import Evidence

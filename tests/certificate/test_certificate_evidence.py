@@ -10,8 +10,9 @@ from numpy.random import SeedSequence
 from calib.dataset.tables import LengthTable
 from calib.geometry.camera import Camera
 from calib.geometry.plane import gaze_at
-from calib.instrument.calibrated import CalibratedInstrument, ValidationResult
+from calib.instrument.calibrated import CalibratedInstrument
 from calib.instrument.evidence import gather_evidence
+from calib.instrument.validation import ValidationResult
 from calib.rows.common_errors import Shared
 from calib.rows.from_table import CameraSet, RowSettings, Setup, ValidationRows
 from calib.rows.observations import Observations

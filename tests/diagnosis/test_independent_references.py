@@ -31,6 +31,7 @@ from calib.study.conditions import CONDITIONS
 from calib.study.rigs import INSIDE, Bench, set_up
 
 MODEL = "axis-offset"
+NOTHING = Diagnosis(MODEL)
 CONDITION = replace(CONDITIONS["axis-offset-14"], rows=24)
 
 
@@ -64,14 +65,14 @@ def found(
     rows: Observations,
     validation: ValidationRows | None,
     lengths: LengthTable | None = None,
+    by_rows: Diagnosis = NOTHING,
 ) -> tuple[Diagnosis, DepthTable]:
     fit = fit_model(rows, bench.priors, model=MODEL)
     calibrated = instrument(fit, bench, rows)
     low, high = float(rows.z_mm.min()), float(rows.z_mm.max())
     depths = tabulate_depths(calibrated, low_mm=low, high_mm=high, seed=SeedSequence(1))
-    nothing = Diagnosis(MODEL)
     return (
-        diagnose_references(nothing, calibrated, fit, rows, validation, lengths, depths),
+        diagnose_references(by_rows, calibrated, fit, rows, validation, lengths, depths),
         depths,
     )
 
@@ -110,6 +111,19 @@ def test_references_that_count_from_elsewhere_are_told_from_a_scale() -> None:
     diagnosis = found(bench, bench.rows, validation_of(bench, z_mm=-40.0))[0]
     cause = first(diagnosis, "reference-offset")
     assert abs(cause.estimate - 40.0) < 3 * cause.std
+
+
+def test_rows_with_a_mistake_of_their_own_are_mended_first() -> None:
+    """Calibrated by them the instrument contradicts the references, whose fault that is not."""
+    bench = rig(1)
+    rows = replace(bench.rows, z_mm=bench.rows.z_mm * 1.03)
+    validation = validation_of(bench)
+    cause = first(found(bench, rows, validation)[0], "reference-scale")
+    mistaken = Diagnosis(MODEL, causes=(replace(cause, seen_in="rows"),))
+    assert mistaken.left_out is not None
+    assert found(bench, rows, validation, by_rows=mistaken)[0].causes == mistaken.causes
+    minor = Diagnosis(MODEL, causes=(replace(cause, seen_in="rows", effect=0.01),))
+    assert len(found(bench, rows, validation, by_rows=minor)[0].causes) > 1
 
 
 def test_sound_rigs_get_no_name() -> None:

@@ -18,7 +18,8 @@ from calib.capture.guidance.lens import BOW_STD_MM
 from calib.capture.guidance.need import Need
 from calib.capture.guidance.poses import (
     TILTS_DEG,
-    matrices_of,
+    back,
+    moved,
     placed,
     repeats,
     rim,
@@ -34,7 +35,7 @@ from calib.geometry.board import Board
 from calib.geometry.camera import Camera, intrinsic_vector, normalise, project
 from calib.geometry.poses import pose_matrix, pose_vector, rotation
 from calib.images.bundle import project_points
-from calib.images.joint.model import BOW, POSE, BoardImages, JointProblem
+from calib.images.joint.model import BOW, BoardImages, JointProblem
 from calib.images.pairs import MIN_PAIRS, half_turn_looks_same, single_view_pose
 
 TURN_STD_RAD, SHIFT_STD_SHARE = 0.1, 0.25
@@ -233,7 +234,7 @@ class PairGuide:
         at = np.tile(shift, (len(tilted), 1)) - np.repeat(arms, len(shift), axis=0)
         poses = np.concatenate([vectors, at], axis=1)
         poses = poses[seen_whole(c1, self.board, poses)]
-        in_c2 = _moved(_back(self._pose_12), poses)
+        in_c2 = moved(back(self._pose_12), poses)
         poses = poses[seen_whole(c2, self.board, in_c2)]
         if not len(poses):
             return poses
@@ -245,7 +246,7 @@ class PairGuide:
 
     def _shown(self, poses: FloatArray) -> FloatArray:
         """Return where both cameras see the corners, px, shape (n, 2, corners, 2)."""
-        in_c2 = _moved(_back(self._pose_12), poses)
+        in_c2 = moved(back(self._pose_12), poses)
         both = [
             project(self._camera(i), placed(p, self._points).reshape(-1, 3)).reshape(
                 len(poses), -1, 2
@@ -384,17 +385,6 @@ def _rays(camera: Camera, room: float) -> FloatArray:
     xy = normalise(camera, grid, strict=False)
     xy = xy[np.isfinite(xy).all(axis=1)]
     return np.concatenate([xy, np.ones((len(xy), 1))], axis=1)
-
-
-def _moved(by: FloatArray, poses: FloatArray) -> FloatArray:
-    """Return poses, shape (n, 6), seen through a rigid transform, shape (4, 4)."""
-    moved = by @ matrices_of(poses)
-    return np.array([pose_vector(m) for m in moved]).reshape(-1, POSE)
-
-
-def _back(pose: FloatArray) -> FloatArray:
-    """Return the inverse of a pose, shape (6,), as a matrix, shape (4, 4)."""
-    return np.asarray(np.linalg.inv(pose_matrix(pose)), dtype=np.float64)
 
 
 def _distance(pose: FloatArray, board: Board) -> float:

@@ -14,7 +14,7 @@ import numpy as np
 from calib.core.arrays import BoolArray, FloatArray, IntArray
 from calib.geometry.board import Board
 from calib.geometry.camera import Camera, project, radius_limit
-from calib.geometry.poses import rotation
+from calib.geometry.poses import pose_matrix, pose_vector, rotation
 
 FILLS: Final = (0.45, 0.85)
 """Shares of the picture, the tighter way, that the board's outer squares span."""
@@ -158,3 +158,14 @@ def _box(camera: Camera, turned: FloatArray, centre: FloatArray) -> tuple[FloatA
     points[..., 2] = np.maximum(points[..., 2], 1.0)
     pixels = project(camera, points.reshape(-1, 3)).reshape(len(turned), -1, 2)
     return pixels.min(axis=1), pixels.max(axis=1)
+
+
+def moved(by: FloatArray, poses: FloatArray) -> FloatArray:
+    """Return poses, shape (n, 6), seen through a rigid transform, shape (4, 4)."""
+    seen = by @ matrices_of(poses)
+    return np.array([pose_vector(m) for m in seen]).reshape(-1, 6)
+
+
+def back(pose: FloatArray) -> FloatArray:
+    """Return the inverse of a pose, shape (6,), as a matrix, shape (4, 4)."""
+    return np.asarray(np.linalg.inv(pose_matrix(pose)), dtype=np.float64)

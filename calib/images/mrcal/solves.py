@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from calib.core.arrays import BoolArray, FloatArray
 from calib.core.errors import EstimationError
 from calib.geometry.board import Board, Corners, LensFit
-from calib.geometry.camera import camera_from_vector
+from calib.geometry.camera import Camera, camera_from_vector
 from calib.images.bundle import finite
 from calib.images.mrcal.call import call_worker
 
@@ -353,3 +353,11 @@ def _in_camera(solution: MrcalSolution, index: int) -> FloatArray:
         rotation, translation = cv2.composeRT(pose[:3], pose[3:], turn[:3], turn[3:])[:2]
         poses[i] = np.concatenate([rotation.ravel(), translation.ravel()])
     return poses
+
+
+def lens_model(cameras: tuple[Camera, Camera]) -> tuple[str, int]:
+    """Return mrcal's lens model that holds both cameras, and its number of coefficients."""
+    count = max(len(camera.distortion) for camera in cameras)
+    if count not in LENS_MODELS:
+        raise EstimationError(f"mrcal has no lens model with OpenCV's {count} coefficients")
+    return LENS_MODELS[count], count

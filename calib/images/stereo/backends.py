@@ -15,7 +15,6 @@ from calib.images.stereo.solve import (
     CameraPair,
     StereoSolve,
     from_mrcal,
-    lens_model,
     with_covariance,
 )
 
@@ -118,7 +117,7 @@ def solve_mrcal_jointly(joint: JointSolve, board: Board, *, seed: int) -> Stereo
     solution = solves.solve(
         corners,
         board,
-        lens_model=lens_model(cameras)[0],
+        lens_model=solves.lens_model(cameras)[0],
         seed=seed,
         focal_px=[float(c.matrix[0, 0]) for c in cameras],
     )

@@ -181,7 +181,7 @@ def solve_mrcal(start: PairStart, board: Board, rig: CameraPair, *, seed: int) -
     EstimationError
         If it fails, or the pairs do not determine the pose.
     """
-    model, count = lens_model(rig.cameras)
+    model, count = solves.lens_model(rig.cameras)
     intrinsics = np.zeros((2, 4 + count))
     for row, camera in zip(intrinsics, rig.cameras, strict=True):
         vector = intrinsic_vector(camera)
@@ -263,14 +263,6 @@ def _residuals(
         residuals[0, i] -= project_points(cameras[0], one).pixels
         residuals[1, i] -= project_points(cameras[1], transform(back, one)).pixels
     return residuals
-
-
-def lens_model(cameras: tuple[Camera, Camera]) -> tuple[str, int]:
-    """Return mrcal's lens model that holds both cameras, and its number of coefficients."""
-    count = max(len(camera.distortion) for camera in cameras)
-    if count not in solves.LENS_MODELS:
-        raise EstimationError(f"mrcal has no lens model with OpenCV's {count} coefficients")
-    return solves.LENS_MODELS[count], count
 
 
 def _as_corners(start: PairStart, cameras: tuple[Camera, Camera]) -> list[Corners]:

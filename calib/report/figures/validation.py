@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from matplotlib.axes import Axes
 
-from calib.instrument.calibrated import ValidationResult
+from calib.instrument.validation import ValidationResult
 from calib.report.plotting import (
     BLACK,
     BLUE,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from calib.core.arrays import FloatArray
-from calib.instrument.calibrated import ReferenceAgreement, ValidationResult
+from calib.instrument.validation import ReferenceAgreement, ValidationResult
 from calib.report.numbers import signed
 from calib.results.calibration import GazeResult
 from calib.uncertainty.format import significant

@@ -8,7 +8,7 @@ import numpy as np
 from markupsafe import Markup
 
 from calib.core.arrays import FloatArray
-from calib.instrument.calibrated import ValidationResult, normalised_error, spread_by_group
+from calib.instrument.validation import ValidationResult, normalised_error, spread_by_group
 from calib.report.blocks import Block, Cell, Paragraph, Section, Table, Text, number, table, words
 from calib.report.context import ReportContext
 from calib.report.figures.validation import draw_agreement, draw_consistency

@@ -80,9 +80,10 @@ def _banner(c: Calibration, context: ReportContext) -> Notice:
 
 
 def _failures(c: Calibration) -> list[Block]:
-    return [
-        Notice("bad", f"Failed: {gate.name}", gate.detail) for gate in c.gates if not gate.passed
-    ]
+    """Return the checks that failed, the one that names a cause first."""
+    failed = [gate for gate in c.gates if not gate.passed]
+    failed.sort(key=lambda gate: gate.name != "diagnosis")
+    return [Notice("bad", f"Failed: {gate.name}", gate.detail) for gate in failed]
 
 
 def _rig(images: ImageResult) -> list[Block]:

@@ -12,7 +12,8 @@ from calib.document.depths import AverageDepth, Depth, ValidationRow
 from calib.document.part import Matrix, matrix, vector
 from calib.instrument.adjusted import Described
 from calib.instrument.averaging import ModelAverage
-from calib.instrument.calibrated import CalibratedInstrument, DepthTable, ValidationResult
+from calib.instrument.calibrated import CalibratedInstrument, DepthTable
+from calib.instrument.validation import ValidationResult
 from calib.results.calibration import GazeResult
 from calib.results.contents.images import CameraName, camera_matrix
 from calib.uncertainty.measurement import Instrument, ModelShare, SharedErrors, Spread

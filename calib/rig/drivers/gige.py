@@ -18,13 +18,20 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import Annotated, Any, Final, Protocol
 
-import numpy as np
 import telegenic
 from pydantic import Field
 
 from calib.core.errors import InputError
 from calib.dataset.fields import Line, NotNegative, Positive
 from calib.rig.clock import NS_PER_S
+from calib.rig.drivers.gige_features import (
+    EXPOSURE_NAMES,
+    TRIGGER,
+    exposure_ns,
+    latch_of,
+    made_triggered,
+    pixels_of,
+)
 from calib.rig.options import Options, options
 from calib.rig.protocols import Camera, Frame, Lost, Nanoseconds
 
@@ -35,12 +42,6 @@ AUTOMATIC: Final = ("ExposureAuto", "GainAuto", "BalanceWhiteAuto", "FocusAuto")
 """What must not change between two pictures; switched off and read back where there is such a
 feature."""
 
-EXPOSURE_NAMES: Final = ("ExposureTime", "ExposureTimeAbs")
-LATCHES: Final = (
-    ("TimestampLatch", "TimestampLatchValue"),
-    ("GevTimestampControlLatch", "GevTimestampValue"),
-)
-TRIGGER: Final = "TriggerSoftware"
 ATTEMPT_S: Final = 2.0
 
 QUIET_S: Final = 0.2
@@ -146,9 +147,9 @@ class GigeCamera:
         info = camera.device_info()
         self._identity = f"{info.manufacturer} {info.model} {info.serial}"
         self._size = size
-        self._exposure_ns = _exposure_ns(camera)
-        self._latch = _latch_of(camera)
-        self._is_triggered = _is_triggered(camera)
+        self._exposure_ns = exposure_ns(camera)
+        self._latch = latch_of(camera)
+        self._is_triggered = made_triggered(camera)
         self._source = self._open_source()
         self._last: _Taken | None = None
         self._shown: Frame | None = None
@@ -225,7 +226,7 @@ class GigeCamera:
         frame, begin = taken.frame, taken.armed_ns
         if to_host is not None:
             begin = max(begin, to_host(frame.timestamp_ticks))
-        return Frame(_pixels(frame), begin, "trigger", frame.frame_id)
+        return Frame(pixels_of(frame), begin, "trigger", frame.frame_id)
 
     def _take(self, timeout_s: float) -> tuple[_Taken | None, Callable[[int], Nanoseconds] | None]:
         if not self._is_triggered:
@@ -283,43 +284,6 @@ class GigeCamera:
 def _margin(taken: _Taken) -> Nanoseconds:
     """Return how far the earliest host's time of a stamp may fall before the trigger."""
     return round((taken.arrived_ns - taken.armed_ns) * DRIFT_BOUND) + 1
-
-
-def _pixels(frame: telegenic.Frame) -> np.ndarray[Any, np.dtype[np.uint8]]:
-    flat = np.frombuffer(frame.data(), np.uint8)
-    return flat[: frame.width * frame.height].reshape(frame.height, frame.width)
-
-
-def _exposure_ns(camera: telegenic.Camera) -> Nanoseconds:
-    for name in EXPOSURE_NAMES:
-        if camera.has_feature(name):
-            return round(camera.get_float(name) * 1000)
-    return 0
-
-
-def _is_triggered(camera: telegenic.Camera) -> bool:
-    """Switch to software triggers; return whether the camera has them."""
-    if not (camera.has_feature("TriggerMode") and camera.has_feature(TRIGGER)):
-        return False
-    try:
-        if camera.has_feature("TriggerSelector"):
-            camera.set_enum("TriggerSelector", "FrameStart")
-        camera.set_enum("TriggerSource", "Software")
-        camera.set_enum("TriggerMode", "On")
-    except telegenic.GenicamError:
-        return False
-    return camera.get_enum("TriggerMode") == "On"
-
-
-def _latch_of(camera: telegenic.Camera) -> tuple[str, str, float] | None:
-    """Return the command that latches the camera's clock, where it stands then, ns a tick."""
-    for command, value in LATCHES:
-        if camera.has_feature(command) and camera.has_feature(value):
-            ticks_per_s = NS_PER_S
-            if camera.has_feature("GevTimestampTickFrequency"):
-                ticks_per_s = camera.get_integer("GevTimestampTickFrequency")
-            return command, value, NS_PER_S / ticks_per_s
-    return None
 
 
 def open_camera(settings: Mapping[str, Any]) -> Camera:

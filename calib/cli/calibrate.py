@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from calib.cli.arguments import add_input, add_output, depth, natural, run_folder
+from calib.cli.streams import say
 from calib.cli.voice import add_voice, print_json
 from calib.core.errors import UsageError, harmless
 from calib.stages.interruption import interrupt_on
@@ -55,6 +56,7 @@ def run(arguments: argparse.Namespace) -> int:
         if not (arguments.quiet or arguments.json):
             print(f"{harmless(str(out))}: up to date, nothing has changed")
     else:
+        _note_replaced(out, seed=arguments.seed)
         _run_chain(dataset, out, settings, quiet=arguments.quiet)
     if arguments.json:
         document, passed = summary_json(out)
@@ -64,6 +66,19 @@ def run(arguments: argparse.Namespace) -> int:
     if text:
         print(text)
     return DONE if passed else GATE_FAILED
+
+
+def _note_replaced(out: Path, *, seed: int) -> None:
+    """Say where a finished run of another seed, and its certificate, will be replaced."""
+    from calib.stages.run_folder import json_object
+
+    found = json_object(out / "calibration.json")
+    before = None if found is None else found.get("seed")
+    if isinstance(before, int) and before != seed:
+        say(
+            f"calib: note: {harmless(str(out))} holds a run of seed {before}; it is replaced, with "
+            "its certificate: give another --out to keep both"
+        )
 
 
 def _run_chain(dataset: Dataset, out: Path, settings: dict[str, Any], *, quiet: bool) -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from calib.cli.arguments import add_input, add_output, depth, natural, number, run_folder, whole
+from calib.cli.streams import say
 from calib.cli.voice import add_voice, print_json
 from calib.core.errors import harmless
 from calib.stages.output_guard import RUN_FOLDER, OutputKind
@@ -59,6 +60,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_voice(parser, json_help="print targets and uncertainties as JSON")
 
 
+SMALL_MM = 50.0
+"""Depths below it were meant in metres."""
+
+
 def _angle(text: str) -> float:
     return number(text, below=180.0, wanted="an angle between 0 and 180 deg")
 
@@ -83,6 +88,8 @@ def run(arguments: argparse.Namespace) -> int:
     kind = None if arguments.out is None else picture_format(arguments.out)
     dataset = load_dataset(arguments.dataset, rows_to_come=True)
     asked = np.array(sorted(set(arguments.depth)))
+    if asked.max() < SMALL_MM:
+        say(f"calib: note: --depth is in mm: {asked.max():g} mm is nearer than any target stands")
     start = prepare(
         dataset,
         _prior_knowledge(dataset, arguments.folder, force=arguments.force),

@@ -218,6 +218,13 @@ def _require_sources(header: Sequence[str], name: str) -> None:
         if not any(column in header for column in choice):
             what = f"column {' or '.join(choice)} is missing"
             raise InputError.single(where=name, what=what, remedy="add it")
+    pairs = (("x1c", "y1c"), ("u1_px", "v1_px"))
+    if any(one in header and two in header for one, two in pairs):
+        return
+    for one, two in (*pairs, *(pair[::-1] for pair in pairs)):
+        if one in header and two not in header:
+            what = f"column {two} is missing: a position needs {one} and {two}"
+            raise InputError.single(where=f"{name}, line 1", what=what, remedy=f"add {two}")
 
 
 @dataclass

@@ -280,3 +280,25 @@ def test_history_plan_and_batch_in_json(tmp_path: Path, capsys: pytest.CaptureFi
     assert json.loads(found.out)["calibrations"] == 0
     rigs = call(capsys, "history", "show", "--index", index, "--json")
     assert json.loads(rigs.out) == {"rigs": []}
+
+
+def test_a_run_of_another_seed_is_told_to_be_replaced(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    data, out = dataset(tmp_path / "data"), tmp_path / "out"
+    out.mkdir()
+    (out / "calibration.json").write_text('{"seed": 7}')
+    monkeypatch.setattr("calib.cli.calibrate._run_chain", lambda *_, **__: None)
+    monkeypatch.setattr("calib.cli.console.summary", lambda _: ("", True))
+    told = call(capsys, "calibrate", data, "--out", out, "--seed", 1, "--force")
+    assert "holds a run of seed 7; it is replaced" in told.err
+    assert "replaced" not in call(capsys, "calibrate", data, "--out", out, "--seed", 7, "-f").err
+
+
+def test_a_depth_that_was_meant_in_metres_is_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    data = dataset(tmp_path / "data")
+    told = call(capsys, "plan", data, "--depth", 1.5, "--rows", 1)
+    assert "--depth is in mm: 1.5 mm" in told.err
+    assert "is in mm" not in call(capsys, "plan", data, "--depth", 900, "--rows", 1).err

@@ -15,10 +15,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.core.arrays import BoolArray, FloatArray, IntArray
-from calib.geometry.camera import Camera, camera_from_vector, intrinsic_vector
+from calib.geometry.camera import Camera
 from calib.images.adjustment.mounting import RIG
-from calib.images.bundle import deformed
 from calib.images.joint.reduced import Unknowns
+from calib.images.joint.unknowns import LensesAndBoard
 
 POSE = 6
 BOW = 2
@@ -73,7 +73,7 @@ class Pictures:
 
 
 @dataclass(frozen=True)
-class Problem:
+class Problem(LensesAndBoard):
     """The problem.
 
     Parameters
@@ -111,18 +111,10 @@ class Problem:
         """The pictures, as `calib.images.joint` calls them."""
         return self.pictures
 
-    def at_lens(self, camera: int) -> IntArray:
-        """Places of the intrinsics of a camera among the shared unknowns; none if it is given."""
-        counts = [
-            4 + len(c.distortion) if f else 0 for c, f in zip(self.cameras, self.free, strict=True)
-        ]
-        first = counts[0] if camera else 0
-        return np.arange(first, first + counts[camera])
-
     @property
     def at_bow(self) -> IntArray:
         """Places of the board's bow, shape (2,)."""
-        first = len(self.at_lens(0)) + len(self.at_lens(1))
+        first = self.after_lenses
         return np.arange(first, first + BOW)
 
     @property
@@ -144,23 +136,11 @@ class Problem:
 
     def start(self, rig: FloatArray, bow: FloatArray, poses: FloatArray) -> Unknowns:
         """Return the unknowns of the cameras given, a rig, a board and these poses, (v, 6)."""
-        lenses = [intrinsic_vector(c) for c, f in zip(self.cameras, self.free, strict=True) if f]
         own = [RIG.index(name) for name in self.names]
         held = np.zeros(len(self.pictures.shared))
         return Unknowns(
-            np.concatenate([*lenses, bow, rig[own], held]), np.vstack([poses, np.zeros(POSE)])
+            np.concatenate([*self.lenses, bow, rig[own], held]), np.vstack([poses, np.zeros(POSE)])
         )
-
-    def camera_at(self, x: FloatArray, camera: int) -> Camera:
-        """Return a camera with the intrinsics of shared unknowns."""
-        if not self.free[camera]:
-            return self.cameras[camera]
-        return camera_from_vector(x[self.at_lens(camera)], self.cameras[camera].image_size)
-
-    def board_at(self, x: FloatArray) -> FloatArray:
-        """Return the board's corners, mm, shape (corners, 3)."""
-        a, b = (float(v) for v in x[self.at_bow])
-        return deformed(self.points, (a, b))
 
     def rig_at(self, x: FloatArray) -> FloatArray:
         """Return all unknowns of the rig, shape (13,)."""

@@ -14,11 +14,12 @@ import cv2
 import numpy as np
 
 from calib.core.arrays import BoolArray, FloatArray, IntArray
-from calib.geometry.camera import Camera, camera_from_vector, intrinsic_vector
+from calib.geometry.camera import Camera
 from calib.geometry.poses import rotation
 from calib.images.board_errors import BoardSums, Equations
 from calib.images.bundle import deformed, project_points
 from calib.images.joint.reduced import Unknowns, ViewNormals
+from calib.images.joint.unknowns import LensesAndBoard
 
 POSE = 6
 BOW = 2
@@ -58,7 +59,7 @@ class BoardImages:
 
 
 @dataclass(frozen=True)
-class JointProblem:
+class JointProblem(LensesAndBoard):
     """The problem: images, the board as drawn, cameras to start from, and which are given.
 
     Parameters
@@ -76,18 +77,10 @@ class JointProblem:
     cameras: tuple[Camera, Camera]
     free: tuple[bool, bool]
 
-    def at_lens(self, camera: int) -> IntArray:
-        """Places of the intrinsics of a camera among the shared unknowns; none if it is given."""
-        counts = [
-            4 + len(c.distortion) if f else 0 for c, f in zip(self.cameras, self.free, strict=True)
-        ]
-        first = counts[0] if camera else 0
-        return np.arange(first, first + counts[camera])
-
     @property
     def at_pose(self) -> IntArray:
         """Places of the pose of C2 in C1, shape (6,)."""
-        first = len(self.at_lens(0)) + len(self.at_lens(1))
+        first = self.after_lenses
         return np.arange(first, first + POSE)
 
     @property
@@ -103,19 +96,7 @@ class JointProblem:
 
     def start(self, pose_12: FloatArray, poses: FloatArray) -> Unknowns:
         """Return the unknowns of the cameras given, a flat board and these poses."""
-        lenses = [intrinsic_vector(c) for c, f in zip(self.cameras, self.free, strict=True) if f]
-        return Unknowns(np.concatenate([*lenses, pose_12, np.zeros(BOW)]), poses)
-
-    def camera_at(self, x: FloatArray, camera: int) -> Camera:
-        """Return a camera with the intrinsics of shared unknowns."""
-        if not self.free[camera]:
-            return self.cameras[camera]
-        return camera_from_vector(x[self.at_lens(camera)], self.cameras[camera].image_size)
-
-    def board_at(self, x: FloatArray) -> FloatArray:
-        """Return the board's corners, mm, shape (corners, 3)."""
-        a, b = (float(v) for v in x[self.at_bow])
-        return deformed(self.points, (a, b))
+        return Unknowns(np.concatenate([*self.lenses, pose_12, np.zeros(BOW)]), poses)
 
 
 def residuals_of(problem: JointProblem, at: Unknowns) -> FloatArray:

@@ -1,0 +1,63 @@
+"""Where lenses and board stand among the shared unknowns of a solve of many pictures."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+
+import numpy as np
+
+from calib.core.arrays import FloatArray, IntArray
+from calib.geometry.camera import Camera, camera_from_vector, intrinsic_vector
+from calib.images.bundle import deformed
+
+
+class LensesAndBoard:
+    """A problem whose shared unknowns begin with the intrinsics of the cameras that are free.
+
+    Parameters
+    ----------
+    points
+        Corners in the board's frame, mm, shape (corners, 3).
+    cameras
+        C1 and C2 to start from.
+    free
+        Whether the intrinsics of each are unknowns.
+    """
+
+    points: FloatArray
+    cameras: tuple[Camera, Camera]
+    free: tuple[bool, bool]
+
+    @property
+    @abstractmethod
+    def at_bow(self) -> IntArray:
+        """Places of the board's bow, shape (2,)."""
+
+    def at_lens(self, camera: int) -> IntArray:
+        """Places of the intrinsics of a camera among the shared unknowns; none if it is given."""
+        counts = [
+            4 + len(c.distortion) if f else 0 for c, f in zip(self.cameras, self.free, strict=True)
+        ]
+        first = counts[0] if camera else 0
+        return np.arange(first, first + counts[camera])
+
+    @property
+    def after_lenses(self) -> int:
+        """Place of the first shared unknown that is none of a lens."""
+        return len(self.at_lens(0)) + len(self.at_lens(1))
+
+    @property
+    def lenses(self) -> list[FloatArray]:
+        """The intrinsics to start from, of the cameras that are free."""
+        return [intrinsic_vector(c) for c, f in zip(self.cameras, self.free, strict=True) if f]
+
+    def camera_at(self, x: FloatArray, camera: int) -> Camera:
+        """Return a camera with the intrinsics of shared unknowns."""
+        if not self.free[camera]:
+            return self.cameras[camera]
+        return camera_from_vector(x[self.at_lens(camera)], self.cameras[camera].image_size)
+
+    def board_at(self, x: FloatArray) -> FloatArray:
+        """Return the board's corners, mm, shape (corners, 3)."""
+        a, b = (float(v) for v in x[self.at_bow])
+        return deformed(self.points, (a, b))

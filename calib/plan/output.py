@@ -20,6 +20,7 @@ from calib.plan.prepare import Start
 INK, MUTED, BLUE, RED = "#1b1b1b", "#6b6b6b", "#0072B2", "#D55E00"
 
 _LOOKS = {"G": (BLUE, "o", 60), "D": (RED, "s", 26)}
+_AIM = {"G": "best for depth", "D": "best for parameters"}
 _MEANING = {
     "G": "least u(z) at the asked depths",
     "D": "least uncertainty of all parameters together",
@@ -164,7 +165,7 @@ def _from_above(axes: Axes, advice: Advice, rows_mm: FloatArray) -> None:
         colour, marker, size = _LOOKS[name]
         x, z = targets.points_mm[:, 0], targets.points_mm[:, 2]
         axes.scatter(x, z, s=size, marker=marker, facecolors="none", edgecolors=colour,
-                     label=f"{name}-optimal")  # fmt: skip
+                     label=f"{_AIM[name]} ({name}-optimal)")  # fmt: skip
     _number(axes, advice.targets["G"])
     for i, depth in enumerate(advice.depths_mm):
         axes.axhline(depth, color=MUTED, lw=0.7, ls=":", label=None if i else "asked depth")
@@ -191,7 +192,7 @@ def _by_count(axes: Axes, advice: Advice) -> None:
         greatest = np.concatenate([[advice.before_rel.max()], targets.u_rel.max(axis=1)])
         colour, marker, _ = _LOOKS[name]
         shown = 100 * np.where(greatest < 1, greatest, np.nan)
-        axes.plot(shown, marker + "-", ms=4, color=colour, label=f"{name}-optimal")
+        axes.plot(shown, marker + "-", ms=4, color=colour, label=f"{_AIM[name]} ({name}-optimal)")
     count = len(next(iter(advice.targets.values())).points_mm)
     random = advice.random_rel.max()
     if random < 1:

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from calib.core.errors import CalibError
 from calib.core.gate import Gate
@@ -74,6 +74,7 @@ def calibrate(
     *,
     seed: int = 0,
     depths_mm: tuple[float, float] | None = None,
+    method: Literal["rows", "adjustment"] | None = None,
     force: bool = False,
 ) -> Calibrated:
     """Run the whole chain on a dataset, as ``calib calibrate`` does.
@@ -91,6 +92,9 @@ def calibrate(
         Of all random numbers.
     depths_mm
         Least and greatest depth of the uncertainty table; default: those of the rows.
+    method
+        From what the instrument is taken, the gaze rows or the adjustment of all pictures; default:
+        from the adjustment where there is one and the rows agree with it.
     force
         Whether a folder with files of another origin may be filled.
 
@@ -111,6 +115,8 @@ def calibrate(
     options = ["--out", os.fspath(out), "--seed", str(seed)]
     if depths_mm is not None:
         options += ["--depths", *map(str, depths_mm)]
+    if method is not None:
+        options += ["--method", method]
     options += ["--force"] * force
     ended = subprocess.run(  # noqa: S603 - this interpreter, and arguments that no shell sees
         [sys.executable, "-P", "-m", "calib", "calibrate", *options, "--", os.fspath(dataset)],

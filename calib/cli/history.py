@@ -46,7 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="folders with finished runs",
     )  # fmt: skip
     add_output(add, "--index", kind=INDEX, default=DEFAULT, metavar="FILE", help=HELP)
-    add_voice(add, json_help="print what was added, changed, moved and left out as JSON")
+    add_voice(add, json_help="print what was added, changed, moved and skipped as JSON")
     add.set_defaults(run=run_index)
 
     add = commands.add_parser("show", help="all rigs, or one rig's control charts as text")

@@ -89,7 +89,8 @@ class Rig:
     @property
     def models(self) -> tuple[str, ...]:
         """Models that `measure` takes: "selected", "average", and the fitted ones by name."""
-        return (SELECTED, "average", *(share.model for share in self.measuring.shares))
+        m = self.measuring
+        return (SELECTED, "average", *(share.model for share in m.shares), *m.by)
 
     def measure(
         self,

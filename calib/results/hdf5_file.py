@@ -14,6 +14,7 @@ from calib.fit.identifiability import Identifiability
 from calib.fit.posterior import Posterior
 from calib.fit.robust import RobustFit
 from calib.geometry.parameters import INDEX, PARAMETERS
+from calib.images.adjustment.result import Adjustment
 from calib.results.calibration import Calibration, GazeResult
 from calib.rows.observations import Observations
 
@@ -63,6 +64,8 @@ def entries(calibration: Calibration) -> Iterator[Entry]:
     """Yield all arrays of a calibration."""
     if calibration.gaze is not None:
         yield from _gaze(calibration.gaze)
+    if calibration.adjustment is not None:
+        yield from _adjustment(calibration.adjustment)
 
 
 def _gaze(g: GazeResult) -> Iterator[Entry]:
@@ -85,6 +88,37 @@ def _gaze(g: GazeResult) -> Iterator[Entry]:
         yield Entry(f"{where}/loo_pointwise", score.pointwise, "1", meaning)
         yield Entry(f"{where}/pareto_k", score.pareto_k, "1", "Pareto shape of each row's weights")
     yield from _depths(g)
+
+
+def _adjustment(a: Adjustment) -> Iterator[Entry]:
+    for model in a.models:
+        where, units = f"fits/{model.model}/adjustment", _units(model.names)
+        yield Entry(f"{where}/names", model.names, "", "parameters, in the order of the others")
+        yield Entry(f"{where}/values", model.values, units, "estimate")
+        yield Entry(f"{where}/covariance", model.covariance, units, "row by column, products")
+        meaning = "standard deviation over that without priors"
+        yield Entry(f"{where}/data_share", model.data_share, "1", meaning)
+    record = a.complete
+    if record.lens_names:
+        lens = _lens_units(record.lens_names)
+        yield Entry("adjustment/lens_names", record.lens_names, "", "intrinsics that were adjusted")
+        meaning = "row by column, products of units"
+        yield Entry("adjustment/lens_covariance", record.lens_covariance, lens, meaning)
+        meaning = "of the parameters of the complete model, rows, with the intrinsics, columns"
+        yield Entry("adjustment/with_lens", record.with_lens, lens, meaning)
+    pose = ("rad",) * 3 + ("mm",) * 3
+    yield Entry("adjustment/pose_12", record.pose_12, pose, "Rodrigues vector and translation")
+    yield Entry("adjustment/pose_covariance", record.pose_covariance, pose, "row by column")
+    yield Entry("adjustment/images", a.images, "", "names of the pictures")
+    meaning = "observed minus projected: pictures x corners x coordinates; NaN where left out"
+    yield Entry("adjustment/residuals", a.residuals, "px", meaning)
+    yield Entry("adjustment/readings", a.readings_rad, "rad", "of the encoder")
+    meaning = "how much farther C2 stood than each reading says"
+    yield Entry("adjustment/reading_errors", a.reading_errors_rad, "rad", meaning)
+
+
+def _lens_units(names: Sequence[str]) -> list[str]:
+    return ["px" if name[3:] in ("fx", "fy", "cx", "cy") else "1" for name in names]
 
 
 def _rows(where: str, rows: Observations) -> Iterator[Entry]:

@@ -9,6 +9,7 @@ import tomllib
 from dataclasses import replace
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 import tomli_w
@@ -16,6 +17,7 @@ from chain_runs import Chain, run_chain
 from dcc_schema import checked, shares, sources
 from scipy.stats import chi2
 
+import calib
 from calib.cli.console import summary, summary_json
 from calib.core.errors import InputError
 from calib.dataset.readers import read_measurements
@@ -197,6 +199,33 @@ def test_the_headline_is_of_the_instrument_of_record_everywhere(chain: Chain) ->
     # Every parameter has U, k and an interval.
     lines = certificate.partition("Calibrated parameters")[2].partition("</table>")[0]
     assert "–" not in lines
+
+
+def test_the_archive_has_the_adjustment(chain: Chain) -> None:
+    with h5py.File(chain.out / "results.h5") as file:
+        group, stated = (
+            file["fits/complete/adjustment"], chain.document["fits"]["complete/adjustment"]
+        )  # fmt: skip
+        assert [name.decode() for name in group["names"]] == stated["names"]
+        np.testing.assert_allclose(group["covariance"], stated["covariance"], rtol=1e-11)
+        residuals, names = file["adjustment/residuals"], file["adjustment/images"]
+        assert len(residuals) == len(names)
+        rms = np.sqrt(np.nanmean(np.square(residuals[:])))
+        assert rms == pytest.approx(chain.document["adjustment"]["rms_px"], rel=1e-11)
+        assert residuals.attrs["units"] == "px"
+        for lens, unit in zip(
+            file["adjustment/lens_names"], file["adjustment/lens_covariance"].attrs["units"],
+            strict=True,
+        ):  # fmt: skip
+            assert (unit == "px") == (lens.decode()[3:4] in "fc")
+
+
+def test_the_python_door_measures_by_either(chain: Chain) -> None:
+    rig = calib.load(chain.out)
+    assert {"rows", "adjustment"} <= set(rig.models)
+    asked = {"u1_px": [380.0], "v1_px": [310.0], "alpha2_deg": [84.0]}
+    by = {name: rig.measure(**asked, model=name).xyz_mm[0, 2] for name in ("rows", "adjustment")}
+    assert rig.measure(**asked).xyz_mm[0, 2] == by["adjustment"] != by["rows"]
 
 
 def test_one_file_measures_by_rows_and_by_adjustment(chain: Chain) -> None:

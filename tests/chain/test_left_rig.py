@@ -194,6 +194,7 @@ def _seen(folder: Path, out: Path) -> tuple[ImageStages, Observations]:
         return images, gaze_rows(dataset, dataset.gaze, store, images).value
 
 
+@pytest.mark.slow
 def test_pictures_of_a_left_rig_give_the_mirror_image_up_to_the_rows(tmp_path: Path) -> None:
     right = _pictures(tmp_path / "right")
     left = mirror_dataset(right, tmp_path / "left")

@@ -76,6 +76,7 @@ def test_a_slip_fails_its_gate_and_is_named(
     assert "GATE FAILED  diagnosis: reading-step" in said
 
 
+@pytest.mark.slow
 def test_its_mirror_image_has_the_opposite_slip(
     slipped: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -106,7 +106,10 @@ def test_one_gross_row_of_six_does_not_lead_astray() -> None:
     assert astray <= 1
 
 
-@pytest.mark.parametrize(("model", "count"), [("base", 14), ("axis-offset", 14)])
+@pytest.mark.parametrize(
+    ("model", "count"),
+    [("base", 14), pytest.param("axis-offset", 14, marks=pytest.mark.slow)],
+)
 def test_pulls_over_repeated_simulation(model: str, count: int) -> None:
     """Coverage: 150 rigs from the priors; the rms of the pulls is known to some 5 %."""
     pulls = []

@@ -12,6 +12,7 @@ from urllib.parse import quote
 
 from calib.batch.task import Ending, Outcome
 from calib.core.errors import CalibError, harmless
+from calib.core.words import counted
 from calib.history.drift import EFFECTIVE
 from calib.history.read import RESULT, read_run
 from calib.instrument.calibration_file import read_whole
@@ -91,8 +92,7 @@ def counts(lines: Sequence[Line]) -> str:
     kinds: tuple[Result, ...] = ("passed", "contradicted", "gates failed", "refused", "crashed")
     numbers = {kind: sum(line.result == kind for line in lines) for kind in kinds}
     said = ", ".join(f"{number} {kind}" for kind, number in numbers.items() if number)
-    noun = "dataset" if len(lines) == 1 else "datasets"
-    return f"{len(lines)} {noun}: {said}"
+    return f"{counted(len(lines), 'dataset')}: {said}"
 
 
 def document(lines: Sequence[Line]) -> dict[str, Any]:

@@ -46,7 +46,14 @@ from calib.uncertainty.budget import COVERAGE
 from calib.uncertainty.certified import CertifiedDepth, CheckedDepth
 from calib.uncertainty.conformity import Conformity, ToleranceRule, worst
 from calib.uncertainty.evidence import Evidence
-from calib.uncertainty.format import fixed, percent_down, plain, upwards, upwards_to
+from calib.uncertainty.format import (
+    fixed,
+    percent_down,
+    plain,
+    upwards,
+    upwards_to,
+    widening,
+)
 
 UNKNOWN_COUNTRY = "ZZ"
 """User-assigned in ISO 3166-1: the manifest states no country."""
@@ -155,7 +162,7 @@ def _method(c: CalibrationSummary) -> str:
     if c.noise_factor > 1:
         widened = (
             f" The stated uncertainties of a reading were widened by a factor of "
-            f"{fixed(c.noise_factor, 2)}, as the residuals of the calibration ask."
+            f"{widening(c.noise_factor)}, as the residuals of the calibration ask."
         )
     return (
         f"Turning gaze plane (Xu and Wang 2017, doi 10.1177/1729881417715984), model {c.model}"

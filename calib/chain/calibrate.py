@@ -35,10 +35,7 @@ from calib.fit.priors import Priors
 from calib.fit.robust import RobustFit, fit_model
 from calib.fit.scale import scaled_defaults
 from calib.geometry.parameters import MODELS
-from calib.instrument.adjusted import (
-    BY_RULE,
-    refuse_missing,
-)
+from calib.instrument.adjusted import BY_RULE, refuse_missing
 from calib.instrument.averaging import build_average
 from calib.instrument.calibrated import build_instrument, tabulate_depths
 from calib.instrument.validation import measure_validation

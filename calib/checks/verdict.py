@@ -25,6 +25,7 @@ from calib.instrument.averaging import doubt_of
 from calib.instrument.calibrated import DepthTable
 from calib.instrument.validation import normalised_error
 from calib.results.calibration import GazeResult
+from calib.uncertainty.format import widening
 
 NOISE_SCALE_LIMIT = 5.0
 """Residuals five times what the manifest states: no honest estimate is that far off; either a
@@ -247,7 +248,7 @@ def gaze_warnings(gaze: GazeResult) -> tuple[str, ...]:
             found.append(
                 f"residuals of {model} are {fit.noise_scale:.2f} times what the manifest's "
                 f"uncertainties lead to expect; those of a reading are widened by "
-                f"{_widened(gaze):.2f}, as the ratio is uncertain too ({NOISE_SCALE})"
+                f"{widening(_widened(gaze))}, as the ratio is uncertain too ({NOISE_SCALE})"
             )
         found += _too_careful(fit)
         zero = float(fit.theta[INDEX["delta2_rad"]])

@@ -119,13 +119,7 @@ def summary_json(out: Path) -> tuple[dict[str, Any], bool]:
     failed = [gate for gate in result["gates"] if not gate["passed"]]
     selected, parameters = result.get("selected"), {}
     if selected is not None:
-        by_adjustment = result.get("method") == "adjustment"
-        of_record = (
-            f"{result['adjustment']['model']}/adjustment"
-            if by_adjustment
-            else f"{selected}/posterior"
-        )
-        fit = result["fits"][of_record]
+        fit = _adjusted(result) or result["fits"][f"{selected}/posterior"]
         parameters = fit["parameters"] | fit.get("derived", {})
     document = {
         "out": str(out),
@@ -162,11 +156,10 @@ def _faults(result: dict[str, Any]) -> list[str]:
 def summary(out: Path) -> tuple[str, bool]:
     """Return the end of a run in a few lines, and whether all gates passed."""
     result = result_of(out)
-    lines = []
-    lines += _instrument(result)
+    lines = _instrument(result)
     selected = result.get("selected")
     if selected is not None:
-        by = " of the gaze rows alone" if result.get("method") == "adjustment" else ""
+        by = "" if _adjusted(result) is None else " of the gaze rows alone"
         lines += [
             f"selected model{by}: {selected}",
             *_estimates(result["fits"][f"{selected}/posterior"]),
@@ -182,9 +175,16 @@ def _instrument(result: dict[str, Any]) -> list[str]:
         return []
     by = {"rows": "the gaze rows", "adjustment": "the adjustment of all pictures"}
     lines = [f"depths are measured by {by[result['method']]}: {result['method_rule']}"]
-    if result["method"] == "adjustment":
-        lines += _estimates(result["fits"][f"{result['adjustment']['model']}/adjustment"])
-    return lines
+    adjusted = _adjusted(result)
+    return lines if adjusted is None else [*lines, *_estimates(adjusted)]
+
+
+def _adjusted(result: dict[str, Any]) -> dict[str, Any] | None:
+    """Return the fit of the adjustment where the instrument is taken from it."""
+    if result.get("method") != "adjustment":
+        return None
+    found: dict[str, Any] = result["fits"][f"{result['adjustment']['model']}/adjustment"]
+    return found
 
 
 def _estimates(fit: dict[str, Any]) -> list[str]:

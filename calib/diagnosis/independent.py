@@ -107,8 +107,10 @@ def diagnose_references(
     depths
         Uncertainty of depth, against which effects are held.
     """
+    if found.left_out is not None:
+        return found
     seen = differences(calibrated, fit, rows, validation, lengths)
-    if found.left_out is not None or len(seen) < LEAST:
+    if len(seen) < LEAST:
         return found
     trials = [_Trial.of(name, seen, by(seen)) for name, by in _MISTAKES]
     ranked = sorted((t for t in trials if t is not None), key=lambda t: -t.attempt.gain)

@@ -63,6 +63,8 @@ def _json(value: Any) -> Any:
     if isinstance(value, Mapping):
         items = ((key, _json(item)) for key, item in value.items())
         return {key: item for key, item in items if item is not None}
-    if isinstance(value, tuple):
+    if isinstance(value, tuple | list):
         return [_json(item) for item in value]
+    if isinstance(value, np.ndarray | np.generic):
+        return _json(value.tolist())
     return value

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib.core.words import counted
 from calib.study.conditions import ADVICE, CONDITIONS, GROUPS, MISTAKES
 from calib.study.scores import RASH, Score
 
@@ -179,7 +180,7 @@ def verdict_text(verdict: Verdict) -> str:
     s, mark = verdict.worst, "held  " if verdict.held else "BROKEN" if verdict.broken else "open  "
     error = "" if s.std_error is None else f" +- {s.std_error:.2g}"
     who = " ".join(part for part in (s.condition, s.subject, s.estimator) if part)
-    rigs = f"{s.rigs} rig{'' if s.rigs == 1 else 's'}"
+    rigs = counted(s.rigs, "rig")
     more = "" if verdict.decided_by is None else f"; some {verdict.decided_by} would tell"
     if s.rigs < LEAST_RIGS:
         more = f", too few to tell{more}"

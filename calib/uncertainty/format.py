@@ -113,6 +113,11 @@ def upwards(number: float, *, digits: int = DIGITS) -> str:
     return _at(number, place + (rounded.adjusted() - exact.adjusted()), ROUND_UP)
 
 
+def widening(factor: float) -> str:
+    """Return a factor by which uncertainties were widened, rounded up; the same wherever told."""
+    return upwards(factor, digits=3)
+
+
 def plain(number: float) -> str:
     """Return a number that was given, not measured, without padding: 45, 21.3, 485.9."""
     return _plain(Decimal(f"{number:.6g}"))

@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import math
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -55,3 +56,14 @@ def test_a_key_nobody_knows_is_refused() -> None:
 def test_arrays_of_any_size_are_matrices() -> None:
     assert matrix([[1, 2], [3, 4]]) == ((1.0, 2.0), (3.0, 4.0))
     assert matrix([]) == ()
+
+
+def test_what_numpy_gives_is_written_as_numbers() -> None:
+    fit = Fit(
+        parameters={},
+        names=(),
+        covariance=(),
+        diagnostics={"array": np.array([1.0, np.nan]), "list": [2.0], "count": np.int64(3)},
+    )
+    found = written(fit)["diagnostics"]
+    assert found == {"array": [1.0, None], "list": [2.0], "count": 3}

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from calib.core.errors import InputError
+from calib.core.gate import Gate
 from calib.instrument.calibration_file import read_calibration
 from calib.results.calibration import Calibration, GazeResult
 from calib.results.contents.whole import to_json
@@ -63,3 +64,9 @@ def test_an_instrument_that_cannot_be_is_left_out_with_the_reason(
     assert document["not_fitted"]["measurement"]
     with pytest.raises(InputError, match="holds no gaze calibration"):
         read_calibration(path)
+
+
+def test_a_check_by_numpy_ends_no_run(calibration: Calibration) -> None:
+    gate = Gate("depth", passed=np.float64(1) < 2, detail="")
+    document = json.loads(to_json(replace(calibration, gates=(gate,))))
+    assert document["gates"] == [{"name": "depth", "passed": True, "detail": ""}]

@@ -13,6 +13,7 @@ from calib.report.numbers import bounds, decimals, digits, percent, places
 from calib.report.plotting import picture
 from calib.results.calibration import Calibration
 from calib.rows.observations import GROUP_SOURCE
+from calib.uncertainty.format import widening
 
 SHOWN_DEPTHS = 5
 """Depths of the table of sources."""
@@ -44,8 +45,8 @@ def _method(calibrated: CalibratedInstrument) -> Markup:
     if calibrated.noise_factor > 1.005:
         widened = (
             " As the rows scatter more than stated, the stated uncertainties of a reading were "
-            f"widened by the factor {calibrated.noise_factor:.2f}, the root mean square of the "
-            "noise scale."
+            f"widened by the factor {widening(calibrated.noise_factor)}, the root mean square of "
+            "the noise scale."
         )
     return Markup(
         "The interval comes from draws of the posterior of <em>{}</em>, each with an error of the "

@@ -13,7 +13,6 @@ from calib.document.adjustment import (
     AdjustedStereo,
     AdjustmentPart,
 )
-from calib.document.findings import GatePart
 from calib.document.fits import Derived, Fit
 from calib.document.part import matrix, vector
 from calib.fit.robust import identified_by
@@ -22,6 +21,7 @@ from calib.geometry.camera import Camera
 from calib.geometry.parameters import embed
 from calib.geometry.poses import pose_matrix
 from calib.images.adjustment.result import AdjustedModel, Adjustment
+from calib.results.contents.diagnosis import gates
 from calib.results.contents.fits import estimates, with_sources
 from calib.results.contents.images import camera_matrix
 from calib.results.effective_baseline import effective_baseline
@@ -128,7 +128,7 @@ def adjustment(a: Adjustment) -> AdjustmentPart:
             stated_std_rad=a.stated_reading_rad,
             std_rad=a.reading_std_rad,
         ),
-        gates=tuple(GatePart(**vars(gate)) for gate in a.gates),
+        gates=gates(a.gates),
     )
 
 

@@ -1,9 +1,17 @@
-"""Diagnosed causes, for calibration.json."""
+"""Checks and diagnosed causes, for calibration.json."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
+from calib.core.gate import Gate
 from calib.diagnosis.engine import Attempt, Diagnosis
-from calib.document.findings import CausePart, CorrectionPart
+from calib.document.findings import CausePart, CorrectionPart, GatePart
+
+
+def gates(checks: Iterable[Gate]) -> tuple[GatePart, ...]:
+    """Return the outcomes of checks; a comparison by numpy gives numpy's own truth."""
+    return tuple(GatePart(name=g.name, passed=bool(g.passed), detail=g.detail) for g in checks)
 
 
 def causes(found: Diagnosis) -> tuple[CausePart, ...]:

@@ -9,7 +9,7 @@ from typing import Any
 from calib.core.seal import with_digest
 from calib.core.version import __version__
 from calib.document.calibration import Content, DatasetPart, ErrorSummary, RigPart
-from calib.document.findings import GatePart, StructurePart
+from calib.document.findings import StructurePart
 from calib.document.fits import Fit, Score
 from calib.document.part import written
 from calib.fit.compare import ModelScore
@@ -46,7 +46,7 @@ def content(c: Calibration) -> Content:
         stereo=None if c.images.stereo is None else images.stereo(c.images.stereo),
         sweep=None if c.images.sweep is None else images.sweep(c.images.sweep),
         adjustment=None if c.adjustment is None else adjustment.adjustment(c.adjustment),
-        gates=tuple(GatePart(**vars(gate)) for gate in c.gates),
+        gates=diagnosis.gates(c.gates),
         warnings=(*c.disagreements, *c.warnings),
         contradictions=tuple(c.disagreements) or None,
         **_of_rows(c),

@@ -16,7 +16,7 @@ from typing import Any
 
 import pytest
 from command import Ended, call, commands
-from test_measure import calibration
+from given_calibration import calibration
 
 from calib.batch.summary import line_of
 from calib.batch.task import Outcome, Task

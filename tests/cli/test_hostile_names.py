@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from command import GOOD, call, dataset
-from test_measure import calibration
+from given_calibration import calibration
 
 from calib.core.errors import UsageError, harmless
 from calib.dataset.messages import name_fault

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 from command import call
-from test_measure import COVARIANCE, FX, ROUNDING, U_X, calibration, gradient, reading_std
+from given_calibration import COVARIANCE, FX, ROUNDING, U_X, calibration, gradient, reading_std
 
 X, DEG = 0.12, 88.0
 

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 from command import GOOD, call, commands, dataset, tree
-from test_measure import calibration
+from given_calibration import calibration
 
 from calib.cli.arguments import PathRole, guard_outputs, roles
 from calib.cli.main import parser

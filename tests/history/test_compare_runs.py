@@ -177,6 +177,19 @@ def test_runs_of_different_rigs_are_told(
     assert bool(told) == bool(err)
 
 
+def test_datasets_that_name_no_rig_are_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    runs = [calibration(tmp_path / name, 120.0) for name in "ab"]
+    for folder, digest in zip(runs, "34", strict=True):
+        file = folder / "calibration.json"
+        document = json.loads(file.read_text())
+        document["dataset"] = document.get("dataset", {"name": "d"}) | {"sha256": digest * 64}
+        file.write_text(json.dumps(document))
+    assert compare(*map(str, runs)) == 0
+    assert "nothing shows that they are of one rig" in capsys.readouterr().err
+
+
 def test_a_failed_run_gives_no_verdict(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Property: also where the depths are 300 mm apart and u is so large that it hides it."""
     good, failed = calibration(tmp_path / "a", 120.0), calibration(tmp_path / "b", 150.0)

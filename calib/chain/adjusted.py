@@ -12,6 +12,7 @@ from calib.core.gate import Gate
 from calib.dataset.contents import Dataset
 from calib.dataset.tables import LengthTable
 from calib.fit.robust import RobustFit
+from calib.images.adjustment.gates import rig_gates
 from calib.images.adjustment.result import Adjustment
 from calib.instrument.adjusted import (
     ADJUSTMENT,
@@ -60,10 +61,11 @@ def chosen(
 def adjustment_gates(
     adjustment: Staged[Adjustment] | None, choice: Choice | None
 ) -> tuple[Gate, ...]:
-    """Return the gates of the adjustment where the instrument is taken from it."""
-    if adjustment is None or choice is None or choice.method == ROWS:
+    """Return the gates of the adjustment; those of cameras and rig where rows are of record."""
+    if adjustment is None or choice is None:
         return ()
-    return adjustment.value.gates
+    gates = adjustment.value.gates
+    return rig_gates(gates) if choice.method == ROWS else gates
 
 
 def not_used(choice: Choice | None) -> tuple[str, ...]:

@@ -29,6 +29,7 @@ from calib.instrument.calibrated import CalibratedInstrument, tabulate_depths
 from calib.instrument.evidence import gather_evidence
 from calib.instrument.validation import measure_validation
 from calib.results.calibration import GazeResult
+from calib.rows.common_errors import Shared
 from calib.rows.from_table import Setup, ValidationRows, observe_validation
 from calib.rows.observations import Observations
 from calib.rows.repeated_readings import observe_gazes
@@ -43,14 +44,24 @@ def chosen(
     method: str,
     gaze: GazeResult,
     rows: Observations,
+    shared: Shared,
     adjustment: Adjustment,
 ) -> Choice:
-    """Return from what the instrument is taken; `method` is what the user asks for."""
+    """Return from what the instrument is taken.
+
+    Parameters
+    ----------
+    method
+        What the user asks for.
+    shared
+        By what `rows` have errors in common.
+    """
     agrees = None
     if gaze.calibrated is not None:
         agrees = agreement(
             adjustment,
             rows,
+            shared,
             noise_factor=gaze.calibrated.noise_factor,
             outliers=gaze.robust[gaze.calibrated.model].outliers,
         )

@@ -124,7 +124,9 @@ def calibrate(
             else:
                 gaze = _gaze_chain(dataset, options, store, images, rows)
         if gaze is not None and adjustment is not None and adjustment.failed is None:
-            choice = chosen(dataset, options.method, gaze, rows.value, adjustment.value)
+            choice = chosen(
+                dataset, options.method, gaze, rows.value, images.shared.value, adjustment.value
+            )
             gaze = with_adjustment(
                 dataset, store, images, gaze, adjustment, choice, seed=options.seed
             )

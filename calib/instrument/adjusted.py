@@ -16,9 +16,10 @@ from calib.geometry.misclosure import misclosure
 from calib.geometry.parameters import INDEX, embed
 from calib.geometry.plane import OBSERVABLE
 from calib.images.adjustment.result import AdjustedModel, Adjustment
+from calib.images.stereo.triangulate import POSE_NAMES
 from calib.instrument.calibrated import EVALUATION, CalibratedInstrument, DepthTable
 from calib.instrument.validation import ValidationResult
-from calib.rows.common_errors import Shared
+from calib.rows.common_errors import RANK, Shared
 from calib.rows.from_table import CameraSet, RowSettings, Setup
 from calib.rows.observations import Observations
 from calib.uncertainty.measurement import ParameterKnowledge, SharedErrors
@@ -117,17 +118,25 @@ class Agreement:
 def agreement(
     adjustment: Adjustment,
     rows: Observations,
+    shared: Shared,
     *,
     noise_factor: float = 1.0,
     outliers: Collection[str] = (),
 ) -> Agreement:
     """Return how rows agree with the adjusted gaze planes.
 
-    The covariance has all that is uncertain of a row, what it shares with others, and the
-    parameters. Pictures of the rows are part of the adjustment, which would lessen it: left out.
+    The covariance has all that is uncertain of a row, what it shares with others, the parameters,
+    and what these have in common: lenses and pose of C2, by which rows are seen, are of pictures
+    that the adjustment has as well. An efficient estimate does not covary with how much another
+    one differs from it (Hausman 1978, doi 10.2307/1913827), so that the covariance with lenses and
+    pose of the rows is that with its own. Corner noise of the rows' own pictures, which is part of
+    the adjustment, would lessen it further: left out.
 
     Parameters
     ----------
+    shared
+        The estimated quantities by which `rows` have errors in common; none where they are not of
+        the adjusted pictures.
     noise_factor
         By how much the rows' own fit proves their stated uncertainties too small: noise is no
         contradiction.
@@ -146,16 +155,53 @@ def agreement(
         together = np.equal.outer(kept.z_group, kept.z_group) & ~np.eye(len(kept), dtype=np.bool_)
         covariance += np.where(together, np.outer(common, common), 0.0)
     covariance *= noise_factor**2
-    if kept.shared_names:
-        shared = np.einsum("nq,nqk->nk", by, kept.shared)
-        covariance += shared @ shared.T
     slope = found.by_theta[:, [INDEX[name] for name in record.names]]
-    covariance += slope @ record.covariance @ slope.T
+    root = slope @ _root(record.covariance)
+    covariance += root @ root.T
+    if kept.shared_names:
+        loading = np.einsum("nq,nqk->nk", by, kept.shared)
+        covariance += loading @ loading.T
+    if kept.shared_names and shared.names:
+        cross = root @ _correlation(record, shared) @ loading.T
+        covariance += cross + cross.T
     unit = np.sqrt(np.diag(covariance))
     pulls = found.value / unit
     statistic = float(pulls @ np.linalg.solve(covariance / np.outer(unit, unit), pulls))
     return Agreement(statistic, len(kept), float(chi2.sf(statistic, len(kept))))
 
+
+def _root(covariance: FloatArray) -> FloatArray:
+    """Return R of a covariance R R', columns with next to no share left out, shape (p, k)."""
+    unit = np.sqrt(np.diag(covariance))
+    value, vector = np.linalg.eigh(covariance / np.outer(unit, unit))
+    some = value > RANK * value[-1]
+    root: FloatArray = unit[:, None] * vector[:, some] * np.sqrt(value[some])
+    return root
+
+
+def _correlation(record: AdjustedModel, shared: Shared) -> FloatArray:
+    """Return how independent errors of the parameters go with those that rows share, (p, k).
+
+    Errors of the parameters are `_root` of their covariance times the former. No singular value is
+    above 1: factors by which views contradict each other are not the same in both estimates.
+    """
+    known = {
+        **dict(zip(record.lens_names, record.with_lens.T, strict=True)),
+        **dict(zip(POSE_NAMES, record.with_pose.T, strict=True)),
+    }
+    nothing = np.zeros(len(record.names))
+    with_shared = np.stack([known.get(name, nothing) for name in shared.names], axis=1)
+    unit = np.linalg.norm(shared.factor, axis=1)
+    by_error = with_shared / unit @ np.linalg.pinv(shared.factor / unit[:, None], rcond=OPEN).T
+    own = np.sqrt(np.diag(record.covariance))
+    whitener = np.linalg.pinv(_root(record.covariance) / own[:, None], rcond=OPEN)
+    u, size, vt = np.linalg.svd(whitener @ (by_error / own[:, None]), full_matrices=False)
+    correlation: FloatArray = (u * np.minimum(size, 1.0)) @ vt
+    return correlation
+
+
+OPEN = 1e-6
+"""Share of the greatest error in common below which one is not told from the others."""
 
 BY_RULE, ROWS, ADJUSTMENT = "rule", "rows", "adjustment"
 """From what the instrument is taken: by the rule of `choose`, or as the user says."""

@@ -41,7 +41,7 @@ from calib.images.intrinsics.maps import (
 from calib.images.intrinsics.remarks import (
     backend_warnings,
     better,
-    board_warning,
+    fit_warnings,
     picture_warnings,
 )
 from calib.images.intrinsics.validate import CrossValidation, cross_validate
@@ -347,7 +347,7 @@ def _assemble(
             *repeats_warning(camera, corners.images, clusters),
             *backend_warnings(camera, mrcal),
             *([f"{camera}: {worse}"] if worse else []),
-            *board_warning(camera, selected, corners, board),
+            *fit_warnings(camera, selected, corners, board),
             *intrinsics_warnings(camera, gates, dispersion=dispersion, splined=splined),
         ),
         purposes={},

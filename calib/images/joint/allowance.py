@@ -25,11 +25,12 @@ from calib.geometry.poses import transform
 from calib.images.joint.reduced import Reduced
 from calib.images.joint.unknowns import LensesAndBoard
 
-BREATHING_STD = 0.00125
+BREATHING_STD = 0.001
 """Standard deviation beforehand of the relative change of a focal length per unit of h / d - 1, d
-the distance of a board and h their harmonic mean: 0.15 % over boards from 0.35 to 1.1 m. The least
-with which depths of rigs that breathe by 0.4 % over these are inside 95 % intervals in nine cases
-of ten (docs/uncertainty.md)."""
+the distance of a board and h the harmonic mean of those at which depths are measured: what gates
+let pass (`calib.images.stereo.gates.FOCAL_CHANGE`), 0.12 % over boards from 0.35 to 1.1 m. Depths
+of rigs whose C1 breathes by 0.4 % over these are then inside 95 % intervals in nine cases of ten
+(docs/uncertainty.md)."""
 
 MEASURED = ("pair", "row")
 """Kinds of pictures at whose distances depths are measured."""

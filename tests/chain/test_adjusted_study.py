@@ -2,8 +2,8 @@
 
 Evidence: simulated truth, repeated: sound rigs, C1 that turns in the course of the rows, an error
 of the encoder's scale, readings that err more than stated, a lens that breathes. Corners are
-simulated, all else is the chain. As a script, with the numbers of the first rig and of that after
-the last, it prints one line a rig; what it printed stands in docs/uncertainty.md.
+simulated, or found in rendered pictures; all else is the chain. As a script, with the numbers of
+the first rig and of that after the last, it prints one line a rig.
 """
 
 from __future__ import annotations
@@ -32,9 +32,10 @@ from calib.geometry.board import Corners
 from calib.geometry.camera import project
 from calib.geometry.poses import rotation
 from calib.images.adjustment.gates import STEADY
-from calib.simulate.contents import Contents, SimulationOptions, Table
+from calib.simulate.contents import Contents, IntrinsicViews, SimulationOptions, Table
 from calib.simulate.dataset import simulate_dataset
 from calib.simulate.plan import plan_dataset
+from calib.simulate.render import Optics
 from tests.reliability.short_chain import shorten
 
 RIGS = 20
@@ -45,6 +46,11 @@ READING_NOISE = 2.5
 """Errors of readings beyond those stated, in standard deviations of a rounded count."""
 BREATHING = 0.004
 """Change of C1's focal length from the farthest board to the nearest."""
+
+RENDERED = 100
+"""Seeds of rendered rigs are beyond."""
+OPTICS = Optics(psf_px=1.0, noise=3.0, vignetting=1.0, exposure=200.0)
+"""Softer, noisier and darker at the rim than those of the demo."""
 
 KINDS = ("sound", "drift", "scale", "noisy", "breathing")
 
@@ -78,7 +84,7 @@ class Trial:
 def trial(seed: int, kind: str, top: Path) -> Trial:
     """Simulate a rig and calibrate it."""
     folder, out = top / f"{kind}{seed}", top / f"out-{kind}{seed}"
-    contents = write_rig(seed, kind, folder)
+    contents = render_rig(seed, folder) if kind == "rendered" else write_rig(seed, kind, folder)
     with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
         status = main(["calibrate", str(folder), "--out", str(out)])
     found = json.loads((out / "calibration.json").read_text())
@@ -106,6 +112,18 @@ def described(
         inside=tuple(row["low95_mm"] <= z <= row["high95_mm"] for row, z in pairs),
         u_relative=tuple(row["u_mm"] / z for row, z in pairs),
     )
+
+
+def render_rig(seed: int, folder: Path) -> Contents:
+    """Write a dataset of pictures, few and poor ones for the lenses."""
+    options = SimulationOptions(
+        seed=RENDERED + seed,
+        images=True,
+        rows=14,
+        validation_rows=10,
+        views=IntrinsicViews(count=12),
+    )
+    return simulate_dataset(folder, options, optics=OPTICS)
 
 
 def write_rig(seed: int, kind: str, folder: Path) -> Contents:
@@ -195,7 +213,7 @@ def at_most_by_chance(count: int, probability: float) -> int:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["sound", "noisy", "breathing"])
+@pytest.mark.parametrize("kind", ["sound", "noisy", "breathing", "rendered"])
 def test_depths_of_rigs_that_pass_are_inside_their_intervals(
     kind: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -119,17 +119,16 @@ def spoil(pictured: Pictured, how: Spoilt) -> Pictured:
     return replace(pictured, exact=exact)
 
 
-def outcome(seed: int, how: Spoilt) -> Outcome:
+def outcome(seed: int, how: Spoilt, layout: Layout = LAYOUT) -> Outcome:
     rng = np.random.default_rng(seed)
     rig = draw_rig(rng, model="axis-tilt")
-    pictured = spoil(session(rng, rig, LAYOUT), how)
+    pictured = spoil(session(rng, rig, layout), how)
     pair = pictured.pair(rng, (True, True))
     corners = pictured.corners(rng, SIGMA_PX)
     found = solve(*gather(pictured.taken, corners, pictured.board, pair))
-    gates = (
-        *adjustment_gates(found, pictured.taken.reading_std_rad),
-        *lens_gates(focal_changes(found)),
-    )
+    gates = adjustment_gates(found, pictured.taken.reading_std_rad)
+    if layout.pairs:  # else it has them already
+        gates = (*gates, *lens_gates(focal_changes(found)))
     seen = targets(rig, Breathing(pictured, how.breathing), how)
     measured = seen.depth_by(found.problem, found.reduced.at.shared)
     slope = seen.slope(found)
@@ -246,6 +245,19 @@ def test_depths_of_sound_rigs() -> None:
     assert found.inside > 0.95 - 2.5 * max(found.inside_error, np.sqrt(0.95 * 0.05 / 40))
     assert found.over_bound < 1.15 + 2 * 0.22
     assert found.widened < 2  # of the calibration's own part, a third of a depth's u
+
+
+@pytest.mark.slow
+def test_without_pairs_and_depths_a_rig_is_known_nearly_as_well() -> None:
+    """Pictures of both cameras in the rows alone: the squares of the board give the scale."""
+    ratios = []
+    for seed in range(5):
+        whole = outcome(seed, CASES["sound"])
+        alone = outcome(seed, CASES["sound"], replace(LAYOUT, pairs=False))
+        assert not alone.failed
+        assert np.abs(alone.error / alone.std).max() < 4
+        ratios.append(alone.std / whole.std)
+    assert np.median(ratios) < 1.5
 
 
 @pytest.mark.slow

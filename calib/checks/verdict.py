@@ -343,7 +343,8 @@ def _left_to_priors(found: Identifiability) -> list[str]:
         decided = f"; until then {' and '.join(own)} rest on prior knowledge" if own else ""
         texts.append(f"{combination.words}{decided}")
     texts += [
-        f"{name} ({PARAMETERS[INDEX[name]].meaning}) is decided by prior knowledge, not by the rows"
+        f"{name} ({PARAMETERS[INDEX[name]].meaning}) is identified by prior knowledge, not by "
+        "the rows"
         for name in left
     ]
     return texts
@@ -368,8 +369,9 @@ def disagreements(gaze: GazeResult) -> tuple[str, ...]:
         if len(bad) > MISSED_SHARE * len(first):
             worst = bad[np.argsort(-score[bad], kind="stable")][:NAMED]
             named = ", ".join(validation.ids[i] for i in worst)
+            against = "the reference" if error.name == "reference" else error.name
             found.append(
-                f"{len(bad)} of {len(first)} validation depths differ from {error.name} by "
+                f"{len(bad)} of {len(first)} validation depths differ from {against} by "
                 "more than their 95 % uncertainties together (E_n > 1; the worst first: "
                 f"{named}): calibration reference and validation reference contradict each other, "
                 "or a row is mistaken. The uncertainties stated are against "

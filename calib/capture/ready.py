@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
-
 from calib.capture.description import Description
 from calib.capture.guidance.need import Need
 from calib.capture.intrinsics import lens_guide
 from calib.capture.writer import GrowingFolder
 from calib.core.errors import UsageError
+from calib.dataset.lens_section import stated_camera
 from calib.dataset.manifest import Manifest
 from calib.geometry.camera import Camera
 from calib.images.intrinsics.calibrate import MIN_VIEWS
@@ -58,9 +57,9 @@ def lens_c2(known: Description, manifest: Manifest | None, folder: GrowingFolder
     if "c2" in known.lenses:
         return known.lenses["c2"]
     section = None if manifest is None else manifest.camera("c2")
-    if section is not None and section.matrix is not None:
-        distortion = np.array(section.distortion or ())
-        return Camera(np.array(section.matrix), distortion, known.sizes["c2"])
+    given = stated_camera(section, known.sizes["c2"])
+    if given is not None:
+        return given
     raise UsageError(
         "C2's lens is not known, so that targets cannot be centred; add matrix and distortion to "
         "[cameras.c2] of rig.toml, or run `calib capture intrinsics` into this dataset first"

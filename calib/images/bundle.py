@@ -14,6 +14,7 @@ import numpy as np
 
 from calib.core.arrays import BoolArray, FloatArray, IntArray
 from calib.core.errors import EstimationError
+from calib.core.unit_diagonal import Spectrum
 from calib.geometry.camera import Camera
 
 MAX_STEPS = 100
@@ -170,15 +171,12 @@ def inverse(matrix: FloatArray) -> FloatArray:
     EstimationError
         If it is singular: the images leave some unknown open.
     """
-    scale = np.sqrt(np.diag(matrix))
-    if not np.all(scale > 0):
+    if not np.all(np.diagonal(matrix) > 0):
         raise EstimationError("bundle adjustment: an unknown does not show in any image")
-    scaled = matrix / np.outer(scale, scale)
-    value = np.linalg.eigvalsh(scaled)
-    if value[0] < len(scaled) * np.finfo(float).eps * value[-1]:
+    spectrum = Spectrum.of(matrix)
+    if spectrum.span < len(matrix) * np.finfo(float).eps:
         raise EstimationError("bundle adjustment: the images leave some unknown open")
-    result: FloatArray = np.linalg.inv(scaled) / np.outer(scale, scale)
-    return result
+    return spectrum.inverse()
 
 
 def dispersion(clusters: Sequence[Sequence[Block]], spread: FloatArray, columns: IntArray) -> float:

@@ -55,6 +55,9 @@ RUN_FILES: Final = {
 }
 """Files of a run that a page may have, with their titles."""
 
+KINDS: Final = {"intrinsics": "lenses", "stereo": "pairs", "sweep": "sweep"}
+"""Guided pictures as the page's list of them has it."""
+
 DONE, GATE_FAILED_STATUS = 0, 3
 
 
@@ -103,7 +106,8 @@ def run(bench: Bench, job: Job) -> None:
 
 def title(job: Job) -> str:
     """Return a job's name as pages show it."""
-    return type(job).__name__
+    name = type(job).__name__
+    return f"{name}: {KINDS[job.kind]}" if isinstance(job, Pictures) else name
 
 
 def look_around(bench: Bench) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 from calib.capture.description import Description
@@ -40,6 +41,19 @@ def reading_uncertainty(rig: RigDevices, rig_file: Path | None) -> float:
         details = "; ".join(f"{one.name}: {one.detail}" for one in check.failed)
         raise RigError(f"{where}: the rig is not fit: {details}")
     return check.u_alpha2_deg
+
+
+def return_uncertainty(rig: RigDevices, rig_file: Path | None) -> float:
+    """Return the standard uncertainty with which C2 comes back to one reading, rad.
+
+    As the check of the rig found it, the rounding of an encoder's count included; without a check
+    it is that of any reading.
+    """
+    check = read_check(check_path(rig_file), serial=rig.serial)
+    if check is None:
+        return math.radians(reading_uncertainty(rig, rig_file))
+    rounding = 0.0 if check.reads == "counts" else rig.axis.resolution_rad / math.sqrt(12)
+    return math.hypot(math.radians(check.repeatability_deg), rounding)
 
 
 def lens_c2(known: Description, manifest: Manifest | None, folder: GrowingFolder) -> Camera:

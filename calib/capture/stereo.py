@@ -19,8 +19,9 @@ from calib.capture.guidance.pairs import (
     holding_reading,
     lens_says,
 )
-from calib.capture.guided import Ended, Guided, Shot, capture_guided, now, shot_journal
+from calib.capture.guided import Ended, Guided, Shot, capture_guided, shot_journal
 from calib.capture.intrinsics import corners_of, lens_guide
+from calib.capture.journal import now
 from calib.core.errors import InputError, UsageError
 from calib.dataset.lens_section import camera_section, stated_camera
 from calib.images.intrinsics.calibrate import MIN_VIEWS

@@ -13,8 +13,9 @@ from calib.capture.guidance.asked import Role
 from calib.capture.guidance.need import Need
 from calib.capture.guidance.sweep import SweepGuide
 from calib.capture.guided import TIMEOUT_S as FRAME_TIMEOUT_S
-from calib.capture.guided import Ended, Guided, Shot, capture_guided, now, shot_journal
+from calib.capture.guided import Ended, Guided, Shot, capture_guided, shot_journal
 from calib.capture.intrinsics import corners_of, lens_guide
+from calib.capture.journal import now
 from calib.capture.shutter import COMPLETE, Finder
 from calib.capture.stereo import known_lens_of
 from calib.core.arrays import FloatArray

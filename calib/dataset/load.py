@@ -33,6 +33,7 @@ from calib.dataset.lens_section import stated_camera
 from calib.dataset.messages import shortened, shown, text_fault
 from calib.dataset.pictures import missing_sizes, picture_faults, with_sizes
 from calib.dataset.readers import Scanned, scan_gaze, scan_lengths, scan_sweep
+from calib.dataset.returns import scan_returns
 from calib.dataset.tables import SweepTable
 from calib.geometry.board import Board
 from calib.geometry.camera import Camera
@@ -123,6 +124,7 @@ class _Loading:
         validation = self._table(tables, "validation", scan_rows)
         sweep = self._table(tables, "sweep", scan_sweep)
         lengths = self._table(tables, "lengths", scan_lengths)
+        returns = self._table(tables, "returns", scan_returns)
         manifest = parsed.manifest
         if manifest is None:
             return None
@@ -136,6 +138,7 @@ class _Loading:
             validation=validation,
             sweep=self._sweep(sweep, manifest.sweep),
             lengths=lengths,
+            returns=returns,
             board=board,
             images=self._intrinsic_images(manifest, cache),
             stereo_pairs=self._stereo_pairs(manifest.stereo, cache),
@@ -185,7 +188,9 @@ class _Loading:
         text = self.attempt(lambda: self._text(name, limit=TABLE_LIMIT_BYTES, where=where))
         if text is None:
             return None
-        if self.rows_to_come and section == "gaze" and len(text.strip().splitlines()) == 1:
+        # Returns may all have been struck, which leaves the header.
+        may_be_empty = section == "returns" or (self.rows_to_come and section == "gaze")
+        if may_be_empty and len(text.strip().splitlines()) == 1:
             return None
         scanned = self.attempt(lambda: scan(text, name=name))
         if scanned is None:

@@ -294,9 +294,13 @@ class Validation(Section):
 
 
 class Table(Section):
-    """A section that names a table and nothing else: lengths."""
+    """A section that names a table and nothing else, such as lengths."""
 
     table: Line
+
+
+class Returns(Table):
+    """Returns to the first target while rows were captured: whether the zero stood still."""
 
 
 class Corrections(Section):
@@ -371,6 +375,7 @@ class Manifest(Section):
     validation: Validation | None = None
     sweep: Sweep | None = None
     lengths: Table | None = None
+    returns: Returns | None = None
     priors: Priors = Field(default_factory=dict)
     corrections: Corrections | None = None
     published: Published = Field(default_factory=dict)

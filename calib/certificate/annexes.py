@@ -18,6 +18,7 @@ from calib.certificate.numbers import (
     listed_checks,
 )
 from calib.core.gate import Gate
+from calib.core.unit_diagonal import unit_diagonal
 from calib.geometry.parameters import INDEX, PARAMETERS
 from calib.results.wording import EXTRAPOLATED, LENGTHS_NOTE, VERDICTS, clean
 from calib.rows.observations import GROUP_SOURCE
@@ -259,8 +260,7 @@ def _bound(number: float) -> str:
 
 def _correlations(calibration: CalibrationSummary) -> Annex:
     p = calibration.instrument.parameters
-    u = np.sqrt(np.diag(p.covariance))
-    r = p.covariance / np.outer(u, u)
+    r = unit_diagonal(p.covariance)[1]
     symbols = tuple(PARAMETERS[INDEX[name]].symbol for name in p.names)
     rows = tuple(
         (symbols[i], *(fixed(float(r[i, j]), 5) for j in range(len(symbols))))

@@ -15,6 +15,7 @@ from calib.chain.outputs import write_outputs
 from calib.chain.rows import gaze_rows, gaze_setup, validation_setup
 from calib.checks.encoder_direction import check_encoder_direction
 from calib.checks.prior_conflict import prior_warnings
+from calib.checks.returns import returns_gates
 from calib.checks.stereo_pose import pose_warnings
 from calib.checks.verdict import all_gates, all_warnings, disagreements
 from calib.core.errors import InputError
@@ -141,7 +142,11 @@ def calibrate(
             gaze=gaze,
             adjustment=None if adjustment is None else adjustment.get(),
             not_adjusted=None if adjustment is None else adjustment.failed,
-            gates=(*all_gates(result, gaze, failures), *adjustment_gates(adjustment, choice)),
+            gates=(
+                *all_gates(result, gaze, failures),
+                *adjustment_gates(adjustment, choice),
+                *returns_gates(dataset),
+            ),
             warnings=(
                 *dataset.warnings,
                 *_combined(dataset, gaze),

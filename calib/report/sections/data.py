@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from markupsafe import Markup
 
+from calib.geometry.lens import PROJECTIONS
 from calib.geometry.parameters import embed
 from calib.geometry.plane import OBSERVABLE
 from calib.report.blocks import (
@@ -203,7 +204,9 @@ def _cameras(c: Calibration) -> Table:
                 words(f"{width} × {height}"),
                 *(decimals(float(value), 2) for value in (fx, fy, cx, cy)),
                 words(lens or "none"),
+                words(PROJECTIONS[camera.projection].words),
             )
         )
-    heads = ("Camera", "Image / px", "fx / px", "fy / px", "cx / px", "cy / px", "Lens distortion")
+    px = ("Image / px", "fx / px", "fy / px", "cx / px", "cy / px")
+    heads = ("Camera", *px, "Lens distortion", "Lens model")
     return table("Intrinsics", heads, rows, note="Lens distortion in the order of OpenCV.")

@@ -6,6 +6,8 @@ import numpy as np
 
 from calib.core.arrays import FloatArray
 from calib.geometry.board import LensFit
+from calib.geometry.camera import Camera
+from calib.geometry.lens import PROJECTIONS
 from calib.images.intrinsics.calibrate import Intrinsics
 from calib.images.intrinsics.maps import fit_name
 from calib.report.blocks import (
@@ -203,11 +205,18 @@ def _bow(fit: LensFit) -> Cell:
     return number(f"{x}, {y}", fit.board_warp_mm[0])
 
 
+def _order(camera: Camera) -> str:
+    """Return of which lens model coefficients are."""
+    if camera.projection == "perspective":
+        return "order of OpenCV"
+    return f"{PROJECTIONS[camera.projection].words}, as cv2.fisheye has them"
+
+
 def _facts(i: Intrinsics) -> DefinitionList:
     lens = ", ".join(digits(float(k), 4).text for k in i.camera.distortion) or "none"
     return facts(
         ("Selected because", i.selection),
-        ("Lens distortion, selected", f"{lens} (order of OpenCV)"),
+        ("Lens distortion, selected", f"{lens} ({_order(i.camera)})"),
         ("Views", f"{len(i.images)}, of which {len(i.rejected_views)} rejected"),
         ("Rejected views", ", ".join(i.rejected_views)),
         ("Coverage", f"{100 * i.coverage.share:.0f} % of the imager's cells"),

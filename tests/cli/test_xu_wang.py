@@ -258,6 +258,7 @@ def test_lost_output_is_written_again_without_computing(result: dict[str, Any], 
 
 
 def test_same_seed_same_bytes_elsewhere(result: dict[str, Any], out: Path, tmp_path: Path) -> None:
+    """Also in a batch, which calibrates in processes of its own."""
     other = {
         "OPENBLAS_NUM_THREADS": "2",
         "OMP_NUM_THREADS": "2",
@@ -266,8 +267,9 @@ def test_same_seed_same_bytes_elsewhere(result: dict[str, Any], out: Path, tmp_p
         "TZ": "Asia/Kathmandu",
         "PYTHONHASHSEED": "7",
     }
-    again = process("calibrate", PAPER, "--out", tmp_path / "öther place", env=other)
+    again = process("batch", PAPER, "--out", tmp_path / "öther place", env=other)
     assert again.status == 0, again.err
+    there = tmp_path / "öther place" / PAPER.name
     for name in ("calibration.json", "results.h5"):
-        assert (tmp_path / "öther place" / name).read_bytes() == (out / name).read_bytes(), name
+        assert (there / name).read_bytes() == (out / name).read_bytes(), name
     assert result["seed"] == 0

@@ -11,7 +11,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.polynomial import Polynomial
 
 from calib.core.arrays import BoolArray, FloatArray
 from calib.core.errors import EstimationError
@@ -183,7 +182,7 @@ def radius_limit(camera: Camera) -> float:
     The distorted radius r N(r^2) / D(r^2) grows until its derivative or D first vanishes.
     """
     numerator, denominator = _radial(camera)
-    s = Polynomial([0.0, 1.0])
+    s = np.polynomial.Polynomial([0.0, 1.0])
     growth = (numerator + 2 * s * numerator.deriv()) * denominator - (
         2 * s * numerator * denominator.deriv()
     )
@@ -193,12 +192,13 @@ def radius_limit(camera: Camera) -> float:
     return float(np.sqrt(real.min())) if real.size else float("inf")
 
 
-def _radial(camera: Camera) -> tuple[Polynomial, Polynomial]:
+def _radial(camera: Camera) -> tuple[np.polynomial.Polynomial, np.polynomial.Polynomial]:
     """Return N and D of the radial factor as polynomials in the squared radius."""
     k = np.zeros(8)
     head = camera.distortion[:8]
     k[: len(head)] = head
-    return Polynomial([1, k[0], k[1], k[4]]), Polynomial([1, k[5], k[6], k[7]])
+    of = np.polynomial.Polynomial
+    return of([1, k[0], k[1], k[4]]), of([1, k[5], k[6], k[7]])
 
 
 def _project(camera: Camera, xy: FloatArray) -> _Projection:

@@ -7,7 +7,7 @@ import sys
 from contextlib import ExitStack
 
 from calib.cli import guided_capture
-from calib.cli.arguments import add_output, depth, positive
+from calib.cli.arguments import add_output, depth, natural, positive
 from calib.cli.gaze import add_target, make_gazer
 from calib.cli.guided_capture import DATASET
 from calib.cli.rig_options import add_rig, opened
@@ -18,6 +18,7 @@ DONE, NOT_ALL = 0, 3
 
 
 DEFAULT_COUNT = 15
+EVERY = 10
 DEFAULT_U_Z_MM = 1.0
 
 
@@ -41,6 +42,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             "--u-z-mm", type=depth, default=DEFAULT_U_Z_MM, metavar="MM",
             help=f"standard uncertainty of depths typed in; default: {DEFAULT_U_Z_MM:g}",
         )  # fmt: skip
+        add.add_argument(
+            "--returns", type=natural, default=EVERY, metavar="N",
+            help="rows between two returns to the first target, which tell whether the zero stands "
+            f"still; 0 for none; default: {EVERY}",
+        )  # fmt: skip
         add.set_defaults(run=_run)
     guided_capture.add_commands(commands)
 
@@ -48,7 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def _run(arguments: argparse.Namespace) -> int:
     """Capture and return the exit status: 3 if the rows did not come together."""
     from calib.capture.description import describe, read_manifest, refuse_other
-    from calib.capture.ready import lens_c2, reading_uncertainty
+    from calib.capture.ready import lens_c2, reading_uncertainty, return_uncertainty
     from calib.capture.rows import Capture, capture_rows, targets_before
     from calib.capture.writer import growing
     from calib.gaze.placing import placing_for
@@ -62,12 +68,14 @@ def _run(arguments: argparse.Namespace) -> int:
             refuse_other(manifest, known)
         capture = Capture(
             gazer=make_gazer(arguments, rig, lens_c2(known, manifest, folder)),
-            hand=placing_for(rig, _tell, done=targets_before(folder)),
+            hand=placing_for(rig, _tell, before=targets_before(folder)),
             folder=folder,
             known=known,
             kind=arguments.capture_command,
             u_z_mm=arguments.u_z_mm,
             announce=_tell,
+            u_return_rad=return_uncertainty(rig, arguments.rig),
+            returns_every=arguments.returns,
         )
         ended = capture_rows(capture, count=arguments.count)
     if arguments.json:

@@ -150,7 +150,8 @@ def fit_bilinear(rows: Observations, weights: FloatArray, *, axis_z: bool) -> Fl
     solved = Bilinear.of(rows).solve(weights, np.arange(count)[None], axis_z=axis_z)
     if np.isnan(solved).any():
         raise EstimationError(_UNDETERMINED)
-    return parameters_of(solved)[0]
+    theta: FloatArray = parameters_of(solved)[0]
+    return theta
 
 
 @dataclass(frozen=True)

@@ -5,13 +5,12 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
-import numpy as np
-
 from calib.capture.description import Description
 from calib.capture.guidance.need import Need
 from calib.capture.intrinsics import lens_guide
 from calib.capture.writer import GrowingFolder
 from calib.core.errors import UsageError
+from calib.dataset.lens_section import stated_camera
 from calib.dataset.manifest import Manifest
 from calib.geometry.camera import Camera
 from calib.images.intrinsics.calibrate import MIN_VIEWS
@@ -87,7 +86,4 @@ def lens(
     if role in known.lenses:
         return known.lenses[role]
     section = None if manifest is None else manifest.camera(role)
-    if section is not None and section.matrix is not None:
-        distortion = np.array(section.distortion or ())
-        return Camera(np.array(section.matrix), distortion, known.sizes[role])
-    return None
+    return stated_camera(section, known.sizes[role])

@@ -20,6 +20,7 @@ from calib.capture.shutter import COMPLETE, Finder
 from calib.capture.stereo import known_lens_of
 from calib.core.arrays import FloatArray
 from calib.core.errors import EstimationError
+from calib.dataset.lens_section import camera_section
 from calib.images.bundle import finite
 from calib.rig.clock import NS_PER_S
 
@@ -119,12 +120,7 @@ def _tables(guided: Guided) -> dict[str, Any]:
     known, role = guided.known, "c2"
     cameras = {}
     if not guided.folder.pictures(f"intrinsics/{role}") and role in known.lenses:
-        lens = known.lenses["c2"]
-        cameras[role] = {
-            "image_size": list(lens.image_size),
-            "matrix": lens.matrix.tolist(),
-            "distortion": lens.distortion.tolist(),
-        }
+        cameras[role] = camera_section(known.lenses["c2"])
     return {
         **head_tables(known, guided.folder.root),
         **board_tables(guided.board),

@@ -9,8 +9,6 @@ from pathlib import Path, PurePosixPath
 from types import MappingProxyType
 from typing import Protocol, TypeVar
 
-import numpy as np
-
 from calib.core.arrays import FloatArray
 from calib.core.errors import InputError, Problem
 from calib.dataset import manifest as spec
@@ -31,6 +29,7 @@ from calib.dataset.folder import (
     matches,
     path_fault,
 )
+from calib.dataset.lens_section import stated_camera
 from calib.dataset.messages import shortened, shown, text_fault
 from calib.dataset.pictures import missing_sizes, picture_faults, with_sizes
 from calib.dataset.readers import Scanned, scan_gaze, scan_lengths, scan_sweep
@@ -331,9 +330,8 @@ class _Loading:
 
     def _camera(self, section: spec.Camera, name: str) -> Camera | None:
         where = f"{MANIFEST}, [cameras.{name}] model"
-        if section.matrix is not None and section.image_size is not None:
-            distortion = np.array(section.distortion or (), dtype=np.float64)
-            return Camera(np.array(section.matrix), distortion, section.image_size)
+        if section.image_size is not None and section.matrix is not None:
+            return stated_camera(section, section.image_size)
         if section.model is None:
             return None
         text = self._text(section.model, limit=MODEL_LIMIT_BYTES, where=where)

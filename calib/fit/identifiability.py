@@ -10,6 +10,7 @@ import numpy as np
 
 from calib.core.arrays import FloatArray
 from calib.core.gate import Gate
+from calib.core.unit_diagonal import unit_diagonal
 from calib.fit.information import Known, beforehand, kept, row_slopes, slopes
 from calib.fit.priors import Priors, measured_of, prior_of
 from calib.fit.robust import DECIDED, RobustFit
@@ -159,7 +160,7 @@ def identifiability(rows: Observations, fit: RobustFit, priors: Priors) -> Ident
         has_sweep=bool(len(measured)),
     )
     covariance = levels.priors.covariance
-    std = np.sqrt(np.diag(covariance))
+    std, correlation = unit_diagonal(covariance)
     worst = _depth_std_rel(rows, fit, covariance * np.outer(unit, unit))
     idle = _idle(rows, fit, std * unit)
     combinations = tuple(_combination(levels, k, rows, fit, idle) for k in range(len(unit)))
@@ -169,7 +170,7 @@ def identifiability(rows: Observations, fit: RobustFit, priors: Priors) -> Ident
         names=model.free,
         scale=unit,
         combinations=combinations,
-        correlation=covariance / np.outer(std, std),
+        correlation=correlation,
         rows_std=levels.rows.std(each) * unit,
         sweep_std=levels.sweep.std(each) * unit,
         std=levels.priors.std(each) * unit,

@@ -10,6 +10,7 @@ from scipy.stats import chi2
 
 from calib.core.arrays import FloatArray
 from calib.core.errors import UsageError
+from calib.core.unit_diagonal import unit_diagonal
 from calib.fit.robust import identified_by
 from calib.fit.start import some_rows
 from calib.geometry.misclosure import misclosure
@@ -151,9 +152,9 @@ def agreement(
         covariance += shared @ shared.T
     slope = found.by_theta[:, [INDEX[name] for name in record.names]]
     covariance += slope @ record.covariance @ slope.T
-    unit = np.sqrt(np.diag(covariance))
-    pulls = found.value / unit
-    statistic = float(pulls @ np.linalg.solve(covariance / np.outer(unit, unit), pulls))
+    std, correlation = unit_diagonal(covariance)
+    pulls = found.value / std
+    statistic = float(pulls @ np.linalg.solve(correlation, pulls))
     return Agreement(statistic, len(kept), float(chi2.sf(statistic, len(kept))))
 
 

@@ -216,6 +216,7 @@ def picture_message(camera: str, shown: Shown, age_ms: float) -> bytes:
             "size": shown.size,
             "age_ms": round(age_ms, 1),
             "target": shown.target,
+            "marks": shown.marks,
             "centre": shown.centre_px,
         }
     ).encode()

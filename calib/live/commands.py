@@ -102,6 +102,9 @@ Command: TypeAlias = Job | Answer | Mark | Stop | Take | Picture
 
 _ADAPTER: TypeAdapter[Command] = TypeAdapter(Annotated[Command, Field(discriminator="do")])
 
+REPEATABLE: Final = (Gaze, Length)
+"""Jobs that mean another one each time they are asked for."""
+
 DRIVING: Final = (Check, Capture, Pictures, Gaze, Length)
 """Jobs that turn C2."""
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import cv2
+import numpy as np
 
 from calib.core.errors import CalibError
 from calib.gaze.target import Target
@@ -47,6 +48,8 @@ class Shown:
         As the camera's driver puts it, by the rig's clock.
     target
         Where the target is, px; None if it is not seen.
+    marks
+        Points by which it was found, a board's corners, px.
     centre_px
         The camera's centre column, px; None to draw none.
     """
@@ -57,6 +60,7 @@ class Shown:
     size: tuple[int, int]
     exposed_ns: int
     target: tuple[float, float] | None
+    marks: list[list[float]]
     centre_px: float | None
 
 
@@ -73,6 +77,8 @@ class Stream:
         Returns what is to be marked; None marks nothing.
     centre
         Returns the centre column, px; None draws none.
+    told
+        Told why the camera gives no picture, and "" once it gives one again.
     """
 
     def __init__(
@@ -81,18 +87,19 @@ class Stream:
         clock: Clock,
         target: Callable[[], Target | None],
         centre: Callable[[], float | None],
+        told: Callable[[str], None],
     ) -> None:
         self._camera = camera
         self._clock = clock
         self._target = target
         self._centre = centre
+        self._told = told
         self._asked = threading.Event()
         self._asked_at = 0.0
         self._closing = threading.Event()
         self._listeners: list[Callable[[], None]] = []
         self._thread = threading.Thread(target=self._run, name="stream", daemon=True)
         self.shown: Shown | None = None
-        self.fault = ""
 
     def start(self) -> None:
         """Begin."""
@@ -137,13 +144,19 @@ class Stream:
         """Make the next picture; return whether it is another one."""
         try:
             frame = self._camera.latest()
+            before = self.shown
+            if frame is None or (before is not None and before.serial == frame.serial):
+                self._told("")
+                return False
+            self.shown = self._made(frame, 1 if before is None else before.number + 1)
         except (CalibError, OSError) as error:
-            self.fault = str(error)
+            self._told(str(error))
             return False
-        before = self.shown
-        if frame is None or (before is not None and before.serial == frame.serial):
+        except Exception as error:
+            # Of the program: told once, and the pictures go on where they can.
+            self._told(f"a fault of the program, {type(error).__name__}: {error}")
             return False
-        self.shown = self._made(frame, 1 if before is None else before.number + 1)
+        self._told("")
         for listener in self._listeners:
             listener()
         return True
@@ -153,9 +166,11 @@ class Stream:
         sighting = None if target is None else target.find(frame.pixels)
         _, data = cv2.imencode(".jpg", frame.pixels, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
         height, width = frame.pixels.shape
-        found = None
+        found, marks = None, []
         if sighting is not None:
             found = (float(sighting.pixel[0]), float(sighting.pixel[1]))
+            seen = sighting.marks_px[np.isfinite(sighting.marks_px).all(axis=1)]
+            marks = seen.round(1).tolist()
         return Shown(
             number=number,
             serial=frame.serial,
@@ -163,5 +178,6 @@ class Stream:
             size=(width, height),
             exposed_ns=frame.exposed_ns,
             target=found,
+            marks=marks,
             centre_px=self._centre(),
         )

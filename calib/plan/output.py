@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -93,6 +94,7 @@ def document(advice: Advice, start: Start) -> dict[str, Any]:
         "model": advice.model,
         "rows_so_far": len(start.points_mm),
         "notes": list(start.notes),
+        "failed_gates": [asdict(gate) for gate in start.failed_gates],
         "depths_mm": advice.depths_mm.tolist(),
         "u_rel_now": advice.before_rel.tolist(),
         "u_rel_random": advice.random_rel.tolist(),

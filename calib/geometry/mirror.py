@@ -9,12 +9,14 @@ twice, everything is as it was. Lengths in mm, angles in rad.
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
 
 from calib.core.arrays import FloatArray
 from calib.geometry.camera import Camera, intrinsic_names
+from calib.geometry.lens import PROJECTIONS
 from calib.geometry.parameters import (
     INDEX,
     PARAMETERS,
@@ -34,7 +36,8 @@ POINT: Final = (-1.0, 1.0, 1.0)
 OBSERVABLE_SIGN: Final = (-1.0, 1.0, -1.0, -1.0, 1.0)
 """Signs of errors of x1c, y1c, alpha2, gaze residual and z, in the order of `OBSERVABLE`."""
 
-_ODD_INTRINSICS = ("cx", "p2", "s1", "s2", "ty")
+_ODD_INTRINSICS = frozenset[str]().union(*(model.odd for model in PROJECTIONS.values()))
+"""No model has an even coefficient of the name of another's odd one."""
 _ODD_SHARED = ("r12.y", "r12.z", "t12.x")
 _SHORT_DEG, _SHORT_COTANGENT = 10, 12
 _ROUNDING_RAD = 1e-15
@@ -99,7 +102,7 @@ def mirror_camera(camera: Camera) -> Camera:
     matrix = camera.matrix.copy()
     matrix[0, 2] = camera.image_size[0] - 1 - matrix[0, 2]
     lens = np.array([-1.0 if name in _ODD_INTRINSICS else 1.0 for name in intrinsic_names(camera)])
-    return Camera(matrix, signed(camera.distortion, lens[4:]), camera.image_size)
+    return replace(camera, matrix=matrix, distortion=signed(camera.distortion, lens[4:]))
 
 
 def signed(values: FloatArray, sign: FloatArray | float) -> FloatArray:

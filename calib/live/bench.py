@@ -165,8 +165,8 @@ class Bench:
             self._up = wanted
         if self._hand is None or self._hand[0] != wanted:
             # Targets come in a row: those to measure are not those that were captured.
-            done = targets_before(GrowingFolder(self.places.dataset))
-            made = placing_for(self.rig, lambda _: None, done=done)
+            before = targets_before(GrowingFolder(self.places.dataset))
+            made = placing_for(self.rig, lambda _: None, before=before)
             self._hand = (wanted, made)
         return self._hand[1]
 

@@ -12,9 +12,8 @@ import numpy as np
 from calib.core.arrays import BoolArray, FloatArray
 from calib.core.errors import EstimationError
 from calib.geometry.board import Board, Corners, LensFit
-from calib.geometry.camera import Camera, camera_from_vector
+from calib.geometry.camera import Camera, camera_from_vector, project_points
 from calib.geometry.poses import transform
-from calib.images.bundle import project_points
 from calib.images.checks import outlier_limit
 from calib.images.detection.grid import seen
 from calib.images.intrinsics.covariance import view_scores

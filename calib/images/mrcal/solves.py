@@ -356,7 +356,15 @@ def _in_camera(solution: MrcalSolution, index: int) -> FloatArray:
 
 
 def lens_model(cameras: tuple[Camera, Camera]) -> tuple[str, int]:
-    """Return mrcal's lens model that holds both cameras, and its number of coefficients."""
+    """Return mrcal's lens model that holds both cameras, and its number of coefficients.
+
+    Raises
+    ------
+    EstimationError
+        If mrcal has none.
+    """
+    if any(camera.projection != "perspective" for camera in cameras):
+        raise EstimationError("mrcal has no equidistant (fisheye) lens model")
     count = max(len(camera.distortion) for camera in cameras)
     if count not in LENS_MODELS:
         raise EstimationError(f"mrcal has no lens model with OpenCV's {count} coefficients")

@@ -76,6 +76,15 @@ class Mark(_Command):
     target: Name
 
 
+class Pick(_Command):
+    """Name the target at a place in a camera's picture, px, and mark it."""
+
+    do: Literal["pick"]
+    camera: Literal["c1", "c2"]
+    u: Annotated[float, Field(allow_inf_nan=False)]
+    v: Annotated[float, Field(allow_inf_nan=False)]
+
+
 class Stop(_Command):
     """Stop the motor and forget what was to be done."""
 
@@ -98,7 +107,7 @@ class Picture(_Command):
 Job: TypeAlias = Check | Capture | Pictures | Calibrate | Gaze | Length
 """What the worker does, one after the other."""
 
-Command: TypeAlias = Job | Answer | Mark | Stop | Take | Picture
+Command: TypeAlias = Job | Answer | Mark | Pick | Stop | Take | Picture
 
 _ADAPTER: TypeAdapter[Command] = TypeAdapter(Annotated[Command, Field(discriminator="do")])
 

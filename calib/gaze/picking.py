@@ -83,7 +83,7 @@ def _tags(grey: Grey, place: FloatArray) -> Iterator[tuple[str, FloatArray]]:
         finder = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(number))
         quads, ids, _ = finder.detectMarkers(part)
         for quad, i in zip(quads, np.ravel([] if ids is None else ids), strict=True):
-            centre = quad.reshape(4, 2).mean(axis=0).astype(np.float64) + [left, top]
+            centre = quad.reshape(4, 2).mean(axis=0).astype(np.float64) + np.array([left, top])
             at = tuple(centre.round().tolist())
             if at not in known:
                 known.add(at)

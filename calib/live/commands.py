@@ -12,6 +12,7 @@ Name = Annotated[str, Field(min_length=1, max_length=80)]
 
 ROWS_MAX: Final = 500
 GAZES_MAX: Final = 100
+PIXELS_MAX: Final = 100_000
 
 
 class _Command(BaseModel):
@@ -81,8 +82,8 @@ class Pick(_Command):
 
     do: Literal["pick"]
     camera: Literal["c1", "c2"]
-    u: Annotated[float, Field(allow_inf_nan=False)]
-    v: Annotated[float, Field(allow_inf_nan=False)]
+    u: Annotated[float, Field(ge=0, le=PIXELS_MAX)]
+    v: Annotated[float, Field(ge=0, le=PIXELS_MAX)]
 
 
 class Stop(_Command):

@@ -80,7 +80,7 @@ class Session:
         self._opened = threading.Event()
         self._failed: BaseException | None = None
         self._bench: Bench | None = None
-        self._mark: Target | None = None
+        self._marked: tuple[Target, ...] = ()
         self._thread = threading.Thread(target=self._run, name="rig", daemon=True)
         self.record = Record()
         self.streams: dict[str, Stream] = {}
@@ -136,7 +136,7 @@ class Session:
     def mark(self, mark: Mark) -> None:
         """Mark another target in the pictures; raises `UsageError` if it is none."""
         if self._bench is not None:
-            self._mark = self._bench.target(mark.target)
+            self._marked = (self._bench.target(mark.target),)
             self.record.put(marked=mark.target)
 
     def stop(self) -> None:
@@ -213,10 +213,10 @@ class Session:
         for role, camera in (("c1", rig.c1), ("c2", rig.c2)):
             centre = bench.centre_column if role == "c2" else lambda: None
             self.streams[role] = Stream(
-                camera, rig.clock, lambda: self._mark, centre, partial(self._seen, role)
+                camera, rig.clock, lambda: self._marked, centre, partial(self._seen, role)
             )
         if bench.board is not None:
-            self._mark = bench.target("board")
+            self._marked = (bench.target("board"),)
             self.record.put(marked="board")
         jobs.look_around(bench)
         self._first_calibration(bench)
@@ -291,8 +291,8 @@ class Session:
                 return None
             self._job = self._waiting.popleft()
             self._bench.axis.allow()
-            for name in _targets(self._job)[:1]:
-                self._mark = self._bench.target(name)
+            if names := _targets(self._job):
+                self._marked = tuple(self._bench.target(name) for name in names)
             self.record.put(
                 job={"name": jobs.title(self._job), "step": "", "done": None, "of": None}
             )
@@ -304,7 +304,7 @@ class Session:
 
 
 def _targets(job: Job) -> tuple[str, ...]:
-    """Return the names of the targets of a job, the one to be marked first."""
+    """Return the names of the targets of a job."""
     if isinstance(job, Length):
         return job.start, job.end
     if isinstance(job, Capture | Gaze):

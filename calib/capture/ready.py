@@ -16,6 +16,7 @@ from calib.geometry.camera import Camera
 from calib.images.intrinsics.calibrate import MIN_VIEWS
 from calib.rig.check_file import check_path, read_check
 from calib.rig.devices import RigDevices
+from calib.rig.known import Role
 from calib.rig.protocols import RigError
 
 
@@ -57,24 +58,32 @@ def return_uncertainty(rig: RigDevices, rig_file: Path | None) -> float:
 
 
 def lens_c2(known: Description, manifest: Manifest | None, folder: GrowingFolder) -> Camera:
-    """Return C2's lens, from rig.toml or the dataset: without it nothing can be centred.
-
-    C2's own pictures come first, where enough of them were captured.
+    """Return C2's lens: without it nothing can be centred; see `lens`.
 
     Raises
     ------
     UsageError
-        If neither has it.
+        If it is not known.
     """
-    if known.board is not None and len(folder.pictures("intrinsics/c2")) >= MIN_VIEWS:
-        return lens_guide(folder, "c2", known.board, known.sizes["c2"], Need()).camera
-    if "c2" in known.lenses:
-        return known.lenses["c2"]
-    section = None if manifest is None else manifest.camera("c2")
-    given = stated_camera(section, known.sizes["c2"])
-    if given is not None:
-        return given
-    raise UsageError(
-        "C2's lens is not known, so that targets cannot be centred; add matrix and distortion to "
-        "[cameras.c2] of rig.toml, or run `calib capture intrinsics` into this dataset first"
-    )
+    found = lens("c2", known, manifest, folder)
+    if found is None:
+        raise UsageError(
+            "C2's lens is not known, so that targets cannot be centred; add matrix and distortion "
+            "to [cameras.c2] of rig.toml, or run `calib capture intrinsics` into this dataset first"
+        )
+    return found
+
+
+def lens(
+    role: Role, known: Description, manifest: Manifest | None, folder: GrowingFolder
+) -> Camera | None:
+    """Return a camera's lens, from its own pictures, rig.toml or the dataset; None if none has it.
+
+    Its own pictures come first, where enough of them were captured.
+    """
+    if known.board is not None and len(folder.pictures(f"intrinsics/{role}")) >= MIN_VIEWS:
+        return lens_guide(folder, role, known.board, known.sizes[role], Need()).camera
+    if role in known.lenses:
+        return known.lenses[role]
+    section = None if manifest is None else manifest.camera(role)
+    return stated_camera(section, known.sizes[role])

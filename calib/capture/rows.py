@@ -10,8 +10,9 @@ from typing import Final
 
 import numpy as np
 
-from calib.capture.description import Description, Kind, add_sections
+from calib.capture.description import Description, Kind, add_sections, add_tables
 from calib.capture.journal import now, row_journal
+from calib.capture.references import Reference
 from calib.capture.returns import EVERY, Returning, is_due, return_to_first
 from calib.capture.writer import GrowingFolder
 from calib.core.version import __version__
@@ -48,15 +49,15 @@ class Capture:
     gazer
         The rig.
     hand
-        Puts targets up and measures their depths.
+        Puts targets up.
+    reference
+        Measures their depths.
     folder
         Where the rows go.
     known
         What the manifest says of the rig.
     kind
         Which table.
-    u_z_mm
-        Standard uncertainty of a depth measured by hand where the hand states none, mm.
     announce
         Told of each row, and of what is refused.
     u_return_rad
@@ -67,10 +68,10 @@ class Capture:
 
     gazer: Gazer
     hand: Placing
+    reference: Reference
     folder: GrowingFolder
     known: Description
     kind: Kind
-    u_z_mm: float
     announce: Announce
     u_return_rad: float
     returns_every: int = EVERY
@@ -178,21 +179,21 @@ def before_calibration(rig: RigDevices, lens_c1: Camera | None) -> Callable[[flo
 def _take(capture: Capture, aiming: Callable[[float], Aiming], name: str) -> None:
     """Take one row and write it."""
     capture.hand.place(name)
-    depth = capture.hand.depth_mm(name)
-    if depth is None:
-        raise RigError(f"{name}: there is no depth")
-    z, u = depth[0], capture.u_z_mm if depth[1] is None else depth[1]
+    depth = capture.reference.depth(name)
+    z = depth.z_mm
     row = _gazer_for(capture.gazer, aiming(z)).gaze(aiming(z), depth_mm=z)
     capture.gazer.noise_c1 = capture.gazer.noise_c1.after(row.c1)
     capture.gazer.noise_c2 = capture.gazer.noise_c2.after(row.c2)
     pictures = _pictures(capture.kind, name)
     kept = {"c1": row.c1[-1], "c2": row.c2[0]}
     capture.folder.note("begun", table=capture.table, id=name)
-    for role, picture in pictures.items():
-        capture.folder.picture(picture, kept[role].frame.pixels)
-    cells = _cells(capture, name, row, pictures) | {"z_mm": f"{z:.10g}", "u_z_mm": f"{u:.10g}"}
+    taken = {name: kept[role].frame.pixels for role, name in pictures.items()}
+    for picture, pixels in (taken | dict(depth.pictures)).items():
+        capture.folder.picture(picture, pixels)
+    cells = _cells(capture, name, row, pictures) | dict(depth.cells)
     capture.folder.add_row(capture.table, list(cells), cells)
     add_sections(capture.folder, capture.known, capture.kind, capture.table)
+    add_tables(capture.folder, depth.tables)
     capture.folder.note("row", table=capture.table, id=name, depth_mm=z, **row_journal(row, kept))
     capture.announce(
         f"{name}: {math.degrees(row.standstill.reading_rad):.4f} deg, {row.moves} moves, "

@@ -144,13 +144,17 @@ class Gazer:
             If there is no row to be had; the message says why.
         """
         before = self._before()
-        far_below = max(self.law.clearance_rad, CLEARANCE_STEPS * self.rig.axis.step_rad)
-        via = max(self.law.range_rad[0], reading_rad - far_below)
-        standing = self._go(Move(reading_rad, via))
+        standing = self.stand_at(reading_rad)
         first = self.look(self.rig.c2, self.at_rest(standing))
         if first is None:
             raise Refused(self.unseen("C2"))
         return self._row(before, standing, first, moves=1, looks=0)
+
+    def stand_at(self, reading_rad: float) -> Standstill:
+        """Turn C2 to a reading, from as far below as play asks for."""
+        far_below = max(self.law.clearance_rad, CLEARANCE_STEPS * self.rig.axis.step_rad)
+        via = max(self.law.range_rad[0], reading_rad - far_below)
+        return self._go(Move(reading_rad, via))
 
     def _before(self) -> tuple[Seen, ...]:
         return self.pictures(self.rig.c1, self.rig.clock.now_ns(), PICTURES_C1)

@@ -135,7 +135,7 @@ class BoardCorner(_AnyLens):
 
     def find(self, grey: Grey) -> Sighting | None:
         """Return where the corner is; None if the board or this corner is not seen."""
-        pixels = _board_corners(grey, self.board)
+        pixels = board_corners(grey, self.board)
         pixel = pixels[self.board.target_index]
         if not np.isfinite(pixel).all():
             return None
@@ -143,7 +143,9 @@ class BoardCorner(_AnyLens):
         return Sighting(pixel, _corner_floor(size), size, pixels)
 
 
-def _board_corners(grey: Grey, board: Board) -> FloatArray:
+def board_corners(grey: Grey, board: Board) -> FloatArray:
+    """Return a board's corners in a picture, px, shape (corners, 2); NaN where not seen."""
+    """Return the corners of a board in a picture, px, (corners, 2); NaN where not found."""
     if board.type == "charuco":
         return CharucoFinder(board).find(grey).pixels
     return find_chessboard(grey, board).pixels
@@ -340,4 +342,9 @@ def _tag(text: str, rest: str) -> Tag:
         raise UsageError(f"--target {text}: unknown dictionary {dictionary!r}; {hint}")
     if not (number.isascii() and number.isdigit()):
         raise UsageError(f"--target {text}: write tag:DICTIONARY:ID, such as tag:{dictionary}:7")
+    known = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary))
+    if int(number) >= len(known.bytesList):
+        raise UsageError(
+            f"--target {text}: tags of {dictionary} end with {len(known.bytesList) - 1}"
+        )
     return Tag(dictionary, int(number))

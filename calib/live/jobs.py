@@ -13,6 +13,7 @@ import numpy as np
 
 from calib.capture.description import describe, read_manifest, refuse_other
 from calib.capture.ready import lens_c2, reading_uncertainty, return_uncertainty
+from calib.capture.references import ByHand, source_of
 from calib.capture.rows import Capture as CaptureSettings
 from calib.capture.rows import capture_rows
 from calib.capture.writer import GrowingFolder, growing
@@ -146,13 +147,19 @@ def _capture(bench: Bench, job: Capture) -> None:
         manifest = read_manifest(folder)
         if manifest is not None:
             refuse_other(manifest, known)
+        if source_of(manifest, job.kind, None) != "hand":
+            raise UsageError(
+                f"the rows of [{job.kind}] have their depths by pictures; go on with "
+                "`calib capture`"
+            )
+        hand = _StoppableHand(bench, bench.hand(job.target))
         capture = CaptureSettings(
             gazer=bench.gazer(at, lens_c2(known, manifest, folder)),
-            hand=_StoppableHand(bench, bench.hand(job.target)),
+            hand=hand,
+            reference=ByHand(hand, U_Z_MM),
             folder=folder,
             known=known,
             kind=job.kind,
-            u_z_mm=U_Z_MM,
             announce=lambda text: _captured(bench, text, job),
             u_return_rad=return_uncertainty(bench.rig, bench.places.rig_file),
         )

@@ -25,6 +25,7 @@ def lab(tmp_path, monkeypatch):
     """Give a folder with a rig in simulated time that was checked."""
     monkeypatch.chdir(tmp_path)
     short_chain.shorten(monkeypatch.setattr)
+    short_chain.leave_out_pages(monkeypatch.setattr)
     (tmp_path / "rig.toml").write_text(RIG)
     (tmp_path / "rig-check.json").write_text(json.dumps(CHECK))
     return tmp_path

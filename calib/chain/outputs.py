@@ -110,6 +110,8 @@ def _results(calibration: Calibration) -> dict[str, bytes]:
     }
     for name, found in calibration.images.intrinsics.items():
         files[f"{name}.yaml"] = opencv_text(found.camera).encode()
+        if found.camera.projection != "perspective":
+            continue  # mrcal has no such lens model
         # mrcal's own file holds its solve too, from which mrcal-tools tell uncertainties.
         lens = f"'{found.selected.lens_model}'"
         own = [text for text in found.model_files.values() if lens in text]

@@ -14,6 +14,7 @@ from calib.capture.writer import MANIFEST, GrowingFolder
 from calib.core.errors import InputError
 from calib.dataset.board_section import section_of
 from calib.dataset.faults import parse_toml
+from calib.dataset.lens_section import camera_section
 from calib.dataset.manifest import Manifest
 from calib.geometry.board import Board
 from calib.geometry.camera import Camera
@@ -207,11 +208,7 @@ def _sections(known: Description, kind: Kind, table: str, *, root: Path) -> dict
 
 def _camera(known: Description, role: Role) -> dict[str, Any]:
     lens = known.lenses[role]
-    return {
-        "image_size": list(lens.image_size),
-        "matrix": lens.matrix.tolist(),
-        "distortion": lens.distortion.tolist(),
-    }
+    return camera_section(lens)
 
 
 def _bad(what: str, remedy: str) -> InputError:

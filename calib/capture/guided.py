@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Final, Protocol
@@ -10,6 +9,7 @@ from typing import Any, Final, Protocol
 from calib.capture.description import Description
 from calib.capture.guidance.asked import Asked, Role
 from calib.capture.holding import Holding
+from calib.capture.journal import now
 from calib.capture.shutter import Finder, View
 from calib.capture.writer import GrowingFolder
 from calib.core.errors import EstimationError
@@ -209,8 +209,3 @@ def shot_journal(shots: Mapping[Role, Shot]) -> dict[str, Any]:
         }
         for role, shot in shots.items()
     }
-
-
-def now() -> str:
-    """Return the time of day."""
-    return time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())

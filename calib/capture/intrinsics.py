@@ -10,7 +10,8 @@ from calib.capture.description import add_tables, board_tables, head_tables, rea
 from calib.capture.guidance.asked import Role
 from calib.capture.guidance.lens import LensGuide
 from calib.capture.guidance.need import Need
-from calib.capture.guided import Ended, Guided, Shot, capture_guided, now, shot_journal
+from calib.capture.guided import Ended, Guided, Shot, capture_guided, shot_journal
+from calib.capture.journal import now
 from calib.capture.shutter import Finder
 from calib.capture.writer import GrowingFolder
 from calib.core.arrays import FloatArray

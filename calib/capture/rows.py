@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from itertools import count as from_number
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
-from calib.capture.description import Description, Kind, add_sections
+from calib.capture.description import Description, Kind, add_sections, add_tables
+from calib.capture.journal import now, row_journal
+from calib.capture.references import Reference
+from calib.capture.returns import EVERY, Returning, is_due, return_to_first
 from calib.capture.writer import GrowingFolder
 from calib.core.version import __version__
 from calib.gaze.aim import Aiming, BlindAiming, EpipolarAiming
 from calib.gaze.gazing import Gazer
 from calib.gaze.placing import Placing
-from calib.gaze.row import GazeRow, Seen
+from calib.gaze.row import GazeRow
 from calib.gaze.target import BoardCorner
 from calib.geometry.camera import Camera
 from calib.geometry.parameters import vector
@@ -47,26 +49,32 @@ class Capture:
     gazer
         The rig.
     hand
-        Puts targets up and measures their depths.
+        Puts targets up.
+    reference
+        Measures their depths.
     folder
         Where the rows go.
     known
         What the manifest says of the rig.
     kind
         Which table.
-    u_z_mm
-        Standard uncertainty of a depth measured by hand where the hand states none, mm.
     announce
         Told of each row, and of what is refused.
+    u_return_rad
+        Standard uncertainty with which C2 comes back to one reading, rad.
+    returns_every
+        Rows between two returns to the first target; 0 for none.
     """
 
     gazer: Gazer
     hand: Placing
+    reference: Reference
     folder: GrowingFolder
     known: Description
     kind: Kind
-    u_z_mm: float
     announce: Announce
+    u_return_rad: float
+    returns_every: int = EVERY
 
     @property
     def table(self) -> str:
@@ -83,11 +91,20 @@ class Captured:
 
 
 def capture_rows(capture: Capture, *, count: int) -> Captured:
-    """Add rows until the table has `count` of them, or too many targets are refused in a row."""
+    """Add rows until the table has `count` of them, or too many targets are refused in a row.
+
+    Raises
+    ------
+    RigError
+        If the zero of the readings has changed since the first row; see `calib.capture.returns`.
+    """
     aiming = before_calibration(capture.gazer.rig, capture.known.lenses.get("c1"))
     _note_start(capture)
     have, refused, in_a_row = len(capture.folder.rows(capture.table)), 0, 0
+    returning = _returning(capture, aiming)
     while have < count and in_a_row < REFUSALS_MAX:
+        if is_due(returning):
+            return_to_first(returning)
         name = next_name(capture)
         try:
             _take(capture, aiming, name)
@@ -97,6 +114,8 @@ def capture_rows(capture: Capture, *, count: int) -> Captured:
             capture.announce(f"{name}: {error}")
             continue
         have, in_a_row = have + 1, 0
+    if is_due(returning):
+        return_to_first(returning)
     return Captured(have, refused)
 
 
@@ -123,9 +142,27 @@ def _pictures(kind: Kind, name: str) -> dict[str, str]:
     return {role: f"{kind}/{role}/{name}.png" for role in ("c1", "c2")}
 
 
-def targets_before(folder: GrowingFolder) -> int:
-    """Return how many targets were put up for rows and refusals that the journal knows."""
-    return len(folder.events("row")) + len(folder.events("refused"))
+def targets_before(folder: GrowingFolder) -> tuple[str, ...]:
+    """Return the targets that were put up for rows and refusals, in the order of the journal."""
+    tables = {f"{kind}.csv" for kind in LETTERS}
+    return tuple(
+        str(event.get("id"))
+        for event in folder.all_events()
+        if event.get("event") in ("row", "refused") and event.get("table") in tables
+    )
+
+
+def _returning(capture: Capture, aiming: Callable[[float], Aiming]) -> Returning:
+    return Returning(
+        gazer=capture.gazer,
+        hand=capture.hand,
+        folder=capture.folder,
+        known=capture.known,
+        announce=capture.announce,
+        aiming=aiming,
+        every=capture.returns_every,
+        u_return_rad=capture.u_return_rad,
+    )
 
 
 def before_calibration(rig: RigDevices, lens_c1: Camera | None) -> Callable[[float], Aiming]:
@@ -142,22 +179,22 @@ def before_calibration(rig: RigDevices, lens_c1: Camera | None) -> Callable[[flo
 def _take(capture: Capture, aiming: Callable[[float], Aiming], name: str) -> None:
     """Take one row and write it."""
     capture.hand.place(name)
-    depth = capture.hand.depth_mm(name)
-    if depth is None:
-        raise RigError(f"{name}: there is no depth")
-    z, u = depth[0], capture.u_z_mm if depth[1] is None else depth[1]
+    depth = capture.reference.depth(name)
+    z = depth.z_mm
     row = _gazer_for(capture.gazer, aiming(z)).gaze(aiming(z), depth_mm=z)
     capture.gazer.noise_c1 = capture.gazer.noise_c1.after(row.c1)
     capture.gazer.noise_c2 = capture.gazer.noise_c2.after(row.c2)
     pictures = _pictures(capture.kind, name)
     kept = {"c1": row.c1[-1], "c2": row.c2[0]}
     capture.folder.note("begun", table=capture.table, id=name)
-    for role, picture in pictures.items():
-        capture.folder.picture(picture, kept[role].frame.pixels)
-    cells = _cells(capture, name, row, pictures) | {"z_mm": f"{z:.10g}", "u_z_mm": f"{u:.10g}"}
+    taken = {name: kept[role].frame.pixels for role, name in pictures.items()}
+    for picture, pixels in (taken | dict(depth.pictures)).items():
+        capture.folder.picture(picture, pixels)
+    cells = _cells(capture, name, row, pictures) | dict(depth.cells)
     capture.folder.add_row(capture.table, list(cells), cells)
     add_sections(capture.folder, capture.known, capture.kind, capture.table)
-    capture.folder.note("row", table=capture.table, id=name, **_journal(row, kept))
+    add_tables(capture.folder, depth.tables)
+    capture.folder.note("row", table=capture.table, id=name, depth_mm=z, **row_journal(row, kept))
     capture.announce(
         f"{name}: {math.degrees(row.standstill.reading_rad):.4f} deg, {row.moves} moves, "
         f"z {z:.1f} mm"
@@ -192,7 +229,7 @@ def _cells(
             "v1_px": f"{row.pixel_c1[1]:.5f}",
             "u2_px": f"{row.pixel_c2[0]:.5f}",
         }
-    stopped = {"alpha2_deg": reading, "approach": str(row.standstill.approached), "time": _now()}
+    stopped = {"alpha2_deg": reading, "approach": str(row.standstill.approached), "time": now()}
     return {"id": name} | seen | stopped
 
 
@@ -200,7 +237,7 @@ def _note_start(capture: Capture) -> None:
     rig = capture.gazer.rig
     capture.folder.note(
         "start",
-        time=_now(),
+        time=now(),
         version=__version__,
         table=capture.table,
         serial=rig.serial,
@@ -208,38 +245,3 @@ def _note_start(capture: Capture) -> None:
         target=capture.gazer.target.name,
         u_alpha2_deg=capture.known.u_alpha2_deg,
     )
-
-
-def _journal(row: GazeRow, kept: Mapping[str, Seen]) -> dict[str, Any]:
-    """Return what the journal says of a row beyond the table."""
-    standing = row.standstill
-    return {
-        "time": _now(),
-        "standstill": {
-            "reading_deg": math.degrees(standing.reading_rad),
-            "counts": standing.counts,
-            "source": standing.source,
-            "approached": standing.approached,
-            "home": standing.home,
-            "since_ns": standing.since_ns,
-        },
-        "pixel_c1": row.pixel_c1.tolist(),
-        "pixel_c2": row.pixel_c2.tolist(),
-        "u_c1_px": row.u_c1_px,
-        "u_c2_px": row.u_c2_px,
-        "frames": {
-            role: {
-                "serial": seen.frame.serial,
-                "exposed_ns": seen.frame.exposed_ns,
-                "sure": seen.frame.sure,
-                "age_ms": round(seen.age_ms, 3),
-            }
-            for role, seen in kept.items()
-        },
-        "moves": row.moves,
-        "looks": row.looks,
-    }
-
-
-def _now() -> str:
-    return time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())

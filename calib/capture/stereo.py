@@ -19,10 +19,11 @@ from calib.capture.guidance.pairs import (
     holding_reading,
     lens_says,
 )
-from calib.capture.guided import Ended, Guided, Shot, capture_guided, now, shot_journal
+from calib.capture.guided import Ended, Guided, Shot, capture_guided, shot_journal
 from calib.capture.intrinsics import corners_of, lens_guide
+from calib.capture.journal import now
 from calib.core.errors import InputError, UsageError
-from calib.geometry.camera import Camera
+from calib.dataset.lens_section import camera_section, stated_camera
 from calib.images.intrinsics.calibrate import MIN_VIEWS
 from calib.rig.protocols import Standstill
 
@@ -77,11 +78,9 @@ def known_lens_of(guided: Guided, role: Role, need: Need) -> LensSays:
         return lens_says(guide.known)
     manifest = read_manifest(guided.folder)
     section = None if manifest is None else manifest.camera(role)
-    if section is not None and section.matrix is not None:
-        distortion = np.array(section.distortion or ())
-        return LensSays(
-            Camera(np.array(section.matrix), distortion, guided.known.sizes[role]), None
-        )
+    given = stated_camera(section, guided.known.sizes[role])
+    if given is not None:
+        return LensSays(given, None)
     if section is None and role in guided.known.lenses and not guide.count:
         return LensSays(guided.known.lenses[role], None)
     raise UsageError(
@@ -123,11 +122,7 @@ def _tables(
     guided: Guided, lenses: tuple[LensSays, LensSays], reading_deg: float
 ) -> dict[str, Any]:
     cameras = {
-        role: {
-            "image_size": list(lens.camera.image_size),
-            "matrix": lens.camera.matrix.tolist(),
-            "distortion": lens.camera.distortion.tolist(),
-        }
+        role: camera_section(lens.camera)
         for role, lens in zip(("c1", "c2"), lenses, strict=True)
         if lens.information is None
     }

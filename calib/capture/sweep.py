@@ -13,12 +13,14 @@ from calib.capture.guidance.asked import Role
 from calib.capture.guidance.need import Need
 from calib.capture.guidance.sweep import SweepGuide
 from calib.capture.guided import TIMEOUT_S as FRAME_TIMEOUT_S
-from calib.capture.guided import Ended, Guided, Shot, capture_guided, now, shot_journal
+from calib.capture.guided import Ended, Guided, Shot, capture_guided, shot_journal
 from calib.capture.intrinsics import corners_of, lens_guide
+from calib.capture.journal import now
 from calib.capture.shutter import COMPLETE, Finder
 from calib.capture.stereo import known_lens_of
 from calib.core.arrays import FloatArray
 from calib.core.errors import EstimationError
+from calib.dataset.lens_section import camera_section
 from calib.images.bundle import finite
 from calib.rig.clock import NS_PER_S
 
@@ -118,12 +120,7 @@ def _tables(guided: Guided) -> dict[str, Any]:
     known, role = guided.known, "c2"
     cameras = {}
     if not guided.folder.pictures(f"intrinsics/{role}") and role in known.lenses:
-        lens = known.lenses["c2"]
-        cameras[role] = {
-            "image_size": list(lens.image_size),
-            "matrix": lens.matrix.tolist(),
-            "distortion": lens.distortion.tolist(),
-        }
+        cameras[role] = camera_section(known.lenses["c2"])
     return {
         **head_tables(known, guided.folder.root),
         **board_tables(guided.board),

@@ -114,13 +114,17 @@ class GrowingFolder:
 
     def events(self, event: str) -> list[dict[str, Any]]:
         """Return the journal's entries of a kind; lines that are none are passed over."""
+        return [entry for entry in self.all_events() if entry.get("event") == event]
+
+    def all_events(self) -> list[dict[str, Any]]:
+        """Return the journal's entries in their order; lines that are none are passed over."""
         found = []
         for line in (self.text(JOURNAL) or "").splitlines():
             try:
                 entry = json.loads(line)
             except ValueError:
                 continue
-            if isinstance(entry, dict) and entry.get("event") == event:
+            if isinstance(entry, dict):
                 found.append(entry)
         return found
 

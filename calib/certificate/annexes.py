@@ -18,6 +18,7 @@ from calib.certificate.numbers import (
     listed_checks,
 )
 from calib.core.gate import Gate
+from calib.core.unit_diagonal import unit_diagonal
 from calib.geometry.parameters import INDEX, PARAMETERS
 from calib.results.wording import EXTRAPOLATED, LENGTHS_NOTE, VERDICTS, clean
 from calib.rows.observations import GROUP_SOURCE
@@ -194,7 +195,6 @@ def _check_row(c: CheckedDepth, *, judged: bool) -> tuple[str, ...]:
     half = max(c.z_mm - c.low95_mm, c.high95_mm - c.z_mm) if finite else c.z_mm - c.low95_mm
     place = half / 2 if half > 0 else 1.0
     low, high = interval(c.low95_mm, c.high95_mm if finite else c.z_mm, uncertainty=place)
-    expanded = math.hypot(half, 2 * c.u_reference_mm)
     statement = NONE if c.conformity is None else VERDICTS[c.conformity.verdict]
     if c.extrapolated:
         statement = EXTRAPOLATED if c.conformity is None else f"{statement} ({EXTRAPOLATED})"
@@ -204,7 +204,7 @@ def _check_row(c: CheckedDepth, *, judged: bool) -> tuple[str, ...]:
         at_place(c.z_mm, uncertainty=place),
         f"{low} to {high if finite else '∞'}",
         error.value,
-        with_uncertainty(0.0, expanded).uncertainty if finite else "∞",
+        error.expanded_uncertainty or "∞",
         error.coverage_factor or NONE,
         fixed(100 * (c.z_mm / c.reference_mm - 1), 2),
         *([NONE if c.conformity is None else percent_down(c.conformity.probability)] * judged),
@@ -236,7 +236,7 @@ def _length_row(e: LengthError) -> tuple[str, ...]:
         plain(e.reference_mm),
         at_place(e.measured_mm, uncertainty=e.standard_uncertainty_mm),
         error.value,
-        with_uncertainty(0.0, e.expanded_uncertainty_mm).uncertainty,
+        error.expanded_uncertainty or NONE,
         error.coverage_factor or NONE,
     )
 
@@ -255,13 +255,12 @@ def length_limit_words(evidence: Evidence) -> str:
 
 
 def _bound(number: float) -> str:
-    return upwards(number, digits=3) if number > 0 else "0"
+    return upwards(number) if number > 0 else "0"
 
 
 def _correlations(calibration: CalibrationSummary) -> Annex:
     p = calibration.instrument.parameters
-    u = np.sqrt(np.diag(p.covariance))
-    r = p.covariance / np.outer(u, u)
+    r = unit_diagonal(p.covariance)[1]
     symbols = tuple(PARAMETERS[INDEX[name]].symbol for name in p.names)
     rows = tuple(
         (symbols[i], *(fixed(float(r[i, j]), 5) for j in range(len(symbols))))

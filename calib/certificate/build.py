@@ -197,8 +197,8 @@ def _summary(evidence: Evidence, calibration: CalibrationSummary) -> str:
     first, last = inside[0], inside[-1]
     return (
         f"Calibrated from {low} mm to {high} mm. At the certified depths in this range, depth is "
-        f"measured to ±{upwards(100 * worst_percent)} % or better (95 %): "
-        f"±{_half_text(first)} mm at {plain(first.result.z_mm)} mm, "
+        f"measured to ±{upwards(100 * worst_percent)} % or better (95 %, the larger side of the "
+        f"interval): ±{_half_text(first)} mm at {plain(first.result.z_mm)} mm, "
         f"±{_half_text(last)} mm at {plain(last.result.z_mm)} mm."
     )
 

@@ -76,9 +76,9 @@ def result(
     value *= scale
     u = None if u is None else u * scale
     if factor is not None and u is not None:
-        both = with_uncertainty(value, factor * u)
-        ends = interval(value - factor * u, value + factor * u, uncertainty=factor * u)
-        shown, expanded, k = both.value, both.uncertainty, fixed(factor, 2)
+        shown, k = at_place(value, uncertainty=u), fixed(factor, 2)
+        expanded = upwards_to(factor * u, uncertainty=u)
+        ends = interval(value - factor * u, value + factor * u, uncertainty=u)
         low: str | None = ends[0]
         high: str | None = ends[1]
     else:

@@ -15,15 +15,18 @@ from calib.chain.outputs import write_outputs
 from calib.chain.rows import gaze_rows, gaze_setup, validation_setup
 from calib.checks.encoder_direction import check_encoder_direction
 from calib.checks.prior_conflict import prior_warnings
+from calib.checks.references import disagreements
+from calib.checks.returns import returns_gates
 from calib.checks.stereo_pose import pose_warnings
-from calib.checks.verdict import all_gates, all_warnings, disagreements
+from calib.checks.verdict import all_gates, all_warnings
 from calib.core.errors import InputError
 from calib.dataset.contents import Dataset
 from calib.dataset.given_lens import given_lens_covariance
 from calib.dataset.tables import LengthTable
 from calib.diagnosis.correction import correct_rows
-from calib.diagnosis.engine import Attempt, diagnose
+from calib.diagnosis.findings import Attempt
 from calib.diagnosis.independent import diagnose_references
+from calib.diagnosis.second import diagnose
 from calib.diagnosis.session import row_history
 from calib.fit.compare import compare_models
 from calib.fit.convex import fit_convex
@@ -143,7 +146,11 @@ def calibrate(
             gaze=gaze,
             adjustment=None if adjustment is None else adjustment.get(),
             not_adjusted=None if adjustment is None else adjustment.failed,
-            gates=(*all_gates(result, gaze, failures), *adjustment_gates(adjustment, choice)),
+            gates=(
+                *all_gates(result, gaze, failures),
+                *adjustment_gates(adjustment, choice),
+                *returns_gates(dataset),
+            ),
             warnings=(
                 *dataset.warnings,
                 *_combined(dataset, gaze),

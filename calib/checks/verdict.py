@@ -9,7 +9,6 @@ from scipy.stats import chi2
 
 from calib.checks.diagnosis import diagnosis_gate, diagnosis_warnings, structure_words
 from calib.checks.field import field_gate
-from calib.core.arrays import FloatArray
 from calib.core.gate import Gate
 from calib.diagnosis.structure import structured
 from calib.fit.chains import ESS_GOAL, R_HAT_LIMIT
@@ -23,7 +22,6 @@ from calib.images.result import ImageResult
 from calib.instrument.adjusted import ROWS
 from calib.instrument.averaging import doubt_of
 from calib.instrument.calibrated import DepthTable
-from calib.instrument.validation import normalised_error
 from calib.results.calibration import GazeResult
 from calib.uncertainty.format import widening
 
@@ -42,19 +40,12 @@ small no more often than that."""
 ZERO_ERROR_REMARK_RAD = float(np.deg2rad(5.0))
 """An axis set by eye is right to a degree or two. Readings in gon look like a zero error of 9."""
 
-MISSED_SHARE = 0.1
-"""Share of validation depths outside their 95 % intervals that chance explains often enough."""
-
 DEPTH_LIMIT_REL = 0.2
 """Relative standard uncertainty, in the middle of the calibrated depths, above which nothing has
 been calibrated that a look would not tell."""
 
 NAMED = 10
 """Outliers that a text names; calibration.json has all."""
-
-SCALE_ROWS, SCALE_RATIO = 6, 5.0
-"""Validation rows that tell, and how far their median difference stands from 0 in median deviations
-from it: six normal errors about 0 do so by chance in 1 of 100 cases."""
 
 PAIRS_NOISE_RATIO, PAIRS_NOISE_PX = 5.0, 0.25
 """Of the residuals of pairs over those of the boards for the lenses, and what needs no excuse.
@@ -126,7 +117,7 @@ def gaze_gates(gaze: GazeResult) -> tuple[Gate, ...]:
         gates += [convergence(gaze.posterior), _agreement(gaze.posterior)]
     if gaze.comparison is not None:
         selected = gaze.comparison.selected
-        gates += [_residuals(gaze, selected), _outliers(gaze, selected)]
+        gates += [_residuals(gaze, selected), outliers_gate(gaze.robust[selected])]
         # Of the other models it is no fault to be undetermined: they were not selected.
         gates.append(gaze.identifiability[selected].gate)
     if gaze.calibrated is not None and gaze.depths is not None:
@@ -191,17 +182,31 @@ def _agreement(posteriors: Mapping[str, Posterior]) -> Gate:
 
 
 def _residuals(gaze: GazeResult, model: str) -> Gate:
-    scale = gaze.robust[model].noise_scale
+    shown = None if gaze.diagnosis is None else structured(gaze.diagnosis.structure)
+    said = None if shown is None else structure_words(shown)
+    return residuals_gate(gaze.robust[model], alone=len(gaze.robust) == 1, structure=said)
+
+
+def residuals_gate(fit: RobustFit, *, alone: bool = False, structure: str | None = None) -> Gate:
+    """Return whether residuals are of the size that the stated uncertainties lead to expect.
+
+    Parameters
+    ----------
+    alone
+        Whether no other model could be fitted.
+    structure
+        What the residuals follow, in words; None if nothing.
+    """
+    scale = fit.noise_scale
     detail = (
-        f"residuals of {model} are {scale:.2f} times what the stated uncertainties lead to expect"
+        f"residuals of {fit.model} are {scale:.2f} times what the stated uncertainties lead to "
+        "expect"
     )
-    alone = len(gaze.robust) == 1
     limit = NOISE_SCALE_REMARK if alone else NOISE_SCALE_LIMIT
     passed = scale <= limit
-    shown = None if gaze.diagnosis is None else structured(gaze.diagnosis.structure)
-    if passed and scale > NOISE_SCALE_REMARK and shown is not None:
+    if passed and scale > NOISE_SCALE_REMARK and structure is not None:
         passed = False
-        detail += f"; they have structure: {structure_words(shown)}; see the diagnosis"
+        detail += f"; they have structure: {structure}; see the diagnosis"
     elif not passed and alone:
         detail += (
             f" (limit {limit:g} where no other model could be fitted): add rows, which tell "
@@ -215,8 +220,9 @@ def _residuals(gaze: GazeResult, model: str) -> Gate:
     return Gate("residuals", passed=passed, detail=detail)
 
 
-def _outliers(gaze: GazeResult, model: str) -> Gate:
-    outliers, count = gaze.robust[model].outliers, len(gaze.rows)
+def outliers_gate(fit: RobustFit) -> Gate:
+    """Return whether so few rows disagree with the others that it may be chance."""
+    outliers, count = fit.outliers, len(fit.rejected)
     passed = len(outliers) <= OUTLIER_SHARE_LIMIT * count
     named = f": {', '.join(outliers[:NAMED])}" if outliers else ""
     detail = f"{len(outliers)} of {count} rows disagree with the others{named}"
@@ -229,7 +235,10 @@ def _depth(depths: DepthTable) -> Gate:
     """Gate on a measured depth: parameters, shared errors and the reading's own together."""
     relative = depths.middle_u_mm / depths.middle_mm
     passed = relative <= DEPTH_LIMIT_REL
-    detail = f"a depth of {depths.middle_mm:.0f} mm is measured to {100 * relative:.2g} %"
+    known = f"is measured to {100 * relative:.2g} %"
+    if not np.isfinite(relative):
+        known = "has no standard uncertainty: one reading gives it no upper limit"
+    detail = f"a depth of {depths.middle_mm:.0f} mm {known}"
     if not passed:
         detail += (
             f" (limit {100 * DEPTH_LIMIT_REL:.0f} %): add targets at other depths and yaw angles, "
@@ -307,7 +316,7 @@ def _too_careful(fit: RobustFit) -> list[str]:
 def _named_outliers(gaze: GazeResult, model: str) -> list[str]:
     """Return a warning that names outliers too few for their gate: gross errors of single rows."""
     outliers = gaze.robust[model].outliers
-    if not outliers or not _outliers(gaze, model).passed:
+    if not outliers or not outliers_gate(gaze.robust[model]).passed:
         return []
     more = f" and {len(outliers) - NAMED} more" if len(outliers) > NAMED else ""
     return [
@@ -340,51 +349,12 @@ def _left_to_priors(found: Identifiability) -> list[str]:
             continue  # two combinations may ask for the same
         own = [name for name in found.names if name in combination.names and name in left]
         left = [name for name in left if name not in own]
-        decided = f"; until then {' and '.join(own)} rest on prior knowledge" if own else ""
+        rest = "rests" if len(own) == 1 else "rest"
+        decided = f"; until then {' and '.join(own)} {rest} on prior knowledge" if own else ""
         texts.append(f"{combination.words}{decided}")
     texts += [
-        f"{name} ({PARAMETERS[INDEX[name]].meaning}) is decided by prior knowledge, not by the rows"
+        f"{name} ({PARAMETERS[INDEX[name]].meaning}) is identified by prior knowledge, not by "
+        "the rows"
         for name in left
     ]
     return texts
-
-
-def disagreements(gaze: GazeResult) -> tuple[str, ...]:
-    """Return a warning for each reference that the measured depths contradict.
-
-    Rows that borrow their depth from one row are one measurement; that row stands for it, or the
-    first that has a value of the reference.
-    """
-    validation = gaze.validation
-    if validation is None:
-        return ()
-    p, found = validation.prediction, []
-    for error in validation.errors:
-        score = normalised_error(p, error)
-        known = np.flatnonzero(np.isfinite(score))
-        known = known[np.argsort(known != validation.depth_of[known], kind="stable")]
-        first = known[np.unique(validation.depth_of[known], return_index=True)[1]]
-        bad = first[score[first] > 1]
-        if len(bad) > MISSED_SHARE * len(first):
-            worst = bad[np.argsort(-score[bad], kind="stable")][:NAMED]
-            named = ", ".join(validation.ids[i] for i in worst)
-            found.append(
-                f"{len(bad)} of {len(first)} validation depths differ from {error.name} by "
-                "more than their 95 % uncertainties together (E_n > 1; the worst first: "
-                f"{named}): calibration reference and validation reference contradict each other, "
-                "or a row is mistaken. The uncertainties stated are against "
-                f"the reference used to calibrate{_common_scale(error.error_rel[first])}"
-            )
-    return tuple(found)
-
-
-def _common_scale(error_rel: FloatArray) -> str:
-    """Return what to add where depths are wrong by one factor, as a wrong scale makes them."""
-    middle = float(np.median(error_rel))
-    scatter = float(np.median(np.abs(error_rel - middle)))
-    if len(error_rel) < SCALE_ROWS or abs(middle) < SCALE_RATIO * scatter:
-        return ""
-    return (
-        f". All differ by about {100 * middle:+.1f} %, as a wrong scale makes them: measure the "
-        "board's squares again (square_mm), and check how both references were measured"
-    )

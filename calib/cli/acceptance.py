@@ -13,6 +13,8 @@ from calib.core.gate import Gate
 
 DONE, GATE_FAILED = 0, 3
 
+UNUSABLE = "must not be used; mend what its report names, or --accept-failed"
+
 NAMED_FAULTS = 10
 """Of a kind that are named."""
 
@@ -29,19 +31,24 @@ def add_calibration(
     The settings are those of ``add_argument``. The command says if it was edited or failed.
     """
     add_input(parser, name, metavar=metavar, is_calibration=True, **settings)
-    parser.add_argument(
-        "--accept-failed", action="store_true", help="use a calibration whose gates failed"
-    )
+    accept_failed(parser, "use a calibration whose gates failed")
     parser.add_argument(
         "--allow-edited", action="store_true", help="use a calibration that was edited by hand"
     )
 
 
-def warn_of_failed(name: Path, failed: Sequence[Gate], *, accepted: bool) -> bool:
-    """Say on stderr which checks of a calibration failed; return whether the user minds."""
+def accept_failed(parser: argparse.ArgumentParser, words: str) -> None:
+    """Add the option by which a user takes what failed its checks."""
+    parser.add_argument("--accept-failed", action="store_true", help=words)
+
+
+def warn_of_failed(
+    name: Path, failed: Sequence[Gate], *, accepted: bool, told: str = UNUSABLE
+) -> bool:
+    """Say on stderr which checks failed; return whether the user minds."""
     if not failed or accepted:
         return False
     for gate in failed[:NAMED_FAULTS]:
         say(f"calib: {name}: gate {gate.name} FAILED: {gate.detail}")
-    say(f"calib: {name}: must not be used; mend what its report names, or --accept-failed")
+    say(f"calib: {name}: {told}")
     return True

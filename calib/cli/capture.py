@@ -7,7 +7,7 @@ import sys
 from contextlib import ExitStack
 
 from calib.cli import guided_capture
-from calib.cli.arguments import add_output, depth, positive
+from calib.cli.arguments import add_output, depth, natural, positive
 from calib.cli.gaze import add_target, make_gazer
 from calib.cli.guided_capture import DATASET
 from calib.cli.rig_options import add_rig, opened
@@ -18,6 +18,8 @@ DONE, NOT_ALL = 0, 3
 
 
 DEFAULT_COUNT = 15
+EVERY = 10
+SOURCES = ("hand", "squares", "pairs")
 DEFAULT_U_Z_MM = 1.0
 
 
@@ -41,6 +43,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             "--u-z-mm", type=depth, default=DEFAULT_U_Z_MM, metavar="MM",
             help=f"standard uncertainty of depths typed in; default: {DEFAULT_U_Z_MM:g}",
         )  # fmt: skip
+        add.add_argument(
+            "--reference", choices=SOURCES, default=None,
+            help="where depths come from: typed in; the squares of a board that both cameras see; "
+            "pairs of pictures, C2 held; default: as the table was begun, or by hand",
+        )  # fmt: skip
+        add.add_argument(
+            "--returns", type=natural, default=EVERY, metavar="N",
+            help="rows between two returns to the first target, which tell whether the zero stands "
+            f"still; 0 for none; default: {EVERY}",
+        )  # fmt: skip
         add.set_defaults(run=_run)
     guided_capture.add_commands(commands)
 
@@ -48,7 +60,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def _run(arguments: argparse.Namespace) -> int:
     """Capture and return the exit status: 3 if the rows did not come together."""
     from calib.capture.description import describe, read_manifest, refuse_other
-    from calib.capture.ready import lens_c2, reading_uncertainty
+    from calib.capture.ready import (
+        lens,
+        lens_c2,
+        reading_uncertainty,
+        return_uncertainty,
+    )
+    from calib.capture.references import ByHand, described, held_reading, reference_for, source_of
     from calib.capture.rows import Capture, capture_rows, targets_before
     from calib.capture.writer import growing
     from calib.gaze.placing import placing_for
@@ -60,14 +78,28 @@ def _run(arguments: argparse.Namespace) -> int:
         manifest = read_manifest(folder)
         if manifest is not None:
             refuse_other(manifest, known)
+        source = source_of(manifest, arguments.capture_command, arguments.reference)
+        held = held_reading(rig, manifest) if source == "pairs" else None
+        gazer = make_gazer(arguments, rig, lens_c2(known, manifest, folder))
+        hand = placing_for(rig, _tell, held_rad=held, before=targets_before(folder))
         capture = Capture(
-            gazer=make_gazer(arguments, rig, lens_c2(known, manifest, folder)),
-            hand=placing_for(rig, _tell, done=targets_before(folder)),
+            gazer=gazer,
+            hand=hand,
+            reference=reference_for(
+                source,
+                by_hand=lambda: ByHand(hand, arguments.u_z_mm),
+                gazer=gazer,
+                known=known,
+                lens_c1=None if source == "hand" else lens("c1", known, manifest, folder),
+                held_rad=held,
+                folder=folder,
+            ),
             folder=folder,
-            known=known,
+            known=described(known, source),
             kind=arguments.capture_command,
-            u_z_mm=arguments.u_z_mm,
             announce=_tell,
+            u_return_rad=return_uncertainty(rig, arguments.rig),
+            returns_every=arguments.returns,
         )
         ended = capture_rows(capture, count=arguments.count)
     if arguments.json:

@@ -24,6 +24,7 @@ def run(arguments: argparse.Namespace) -> int:
         "validation rows": dataset.validation,
         "sweep images": dataset.sweep,
         "lengths": dataset.lengths,
+        "returns": dataset.returns,
         "stereo pairs": dataset.stereo_pairs,
         "images of C1": dataset.images.get("c1"),
         "images of C2": dataset.images.get("c2"),

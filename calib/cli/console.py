@@ -13,7 +13,7 @@ from tqdm import tqdm
 
 from calib.cli.voice import painted
 from calib.core.errors import harmless
-from calib.uncertainty.format import interval, last_place
+from calib.uncertainty.format import interval, with_uncertainty
 
 HEARTBEAT_S = 0.5
 """Between redraws of a terminal: whoever watches sees that the program is alive."""
@@ -193,7 +193,7 @@ def _estimates(fit: dict[str, Any]) -> list[str]:
     for name, estimate in (fit["parameters"] | derived).items():
         by_prior = estimate.get("identified_by") == "prior"
         decided = " (identified by prior knowledge)" if by_prior else ""
-        figures = f"{_digits(estimate['value'], estimate['std']):>12s} +- {estimate['std']:.2g}"
+        figures = _figures(estimate["value"], estimate["std"])
         if "q2.5" in estimate and name in derived:
             low, high = interval(estimate["q2.5"], estimate["q97.5"], uncertainty=estimate["std"])
             figures += f" (95 %: {low} to {high})"
@@ -201,13 +201,12 @@ def _estimates(fit: dict[str, Any]) -> list[str]:
     return lines
 
 
-def _digits(value: float, std: float) -> str:
-    """Return a value with five digits, and with as many as its uncertainty needs."""
-    usual = f"{value:.5g}"
-    if not 0 < std < math.inf or "e" in usual:
-        return usual
-    needed = last_place(std)
-    return f"{value:.{-needed}f}" if -needed > len(usual.partition(".")[2]) else usual
+def _figures(value: float, std: float) -> str:
+    """Return a value with its standard uncertainty, rounded as report and certificate round."""
+    if not 0 < std < math.inf:
+        return f"{value:>12.5g} +- {std:.2g}"
+    both = with_uncertainty(value, std)
+    return f"{both.value:>12s} +- {both.uncertainty}"
 
 
 def _cause(cause: dict[str, Any]) -> str:

@@ -8,6 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from calib.cli.acceptance import DONE, GATE_FAILED, accept_failed, warn_of_failed
 from calib.cli.arguments import add_input, add_output, depth, natural, number, run_folder, whole
 from calib.cli.streams import say
 from calib.cli.voice import add_voice, print_json
@@ -57,6 +58,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_output(
         parser, "--out", kind=PICTURE, metavar="FILE", help="picture, .svg or .png; default: none"
     )
+    accept_failed(parser, "plan from rows or pictures whose gates failed")
     add_voice(parser, json_help="print targets and uncertainties as JSON")
 
 
@@ -115,7 +117,13 @@ def run(arguments: argparse.Namespace) -> int:
         write_bytes(arguments.out, picture(advice, start.points_mm, kind=kind))
         if not (arguments.json or arguments.quiet):
             sys.stdout.write(f"\npicture: {arguments.out}\n")
-    return 0
+    refused = warn_of_failed(
+        dataset.root, start.failed_gates, accepted=arguments.accept_failed, told=UNRELIABLE
+    )
+    return GATE_FAILED if refused else DONE
+
+
+UNRELIABLE = "u(z) and targets rest on what failed; mend that first, or --accept-failed"
 
 
 def note_broken(out: Path) -> None:

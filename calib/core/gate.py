@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 
@@ -22,3 +23,8 @@ class Gate:
     name: str
     passed: bool
     detail: str
+
+
+def failed(gates: Iterable[Gate]) -> tuple[Gate, ...]:
+    """Return those that did not pass."""
+    return tuple(gate for gate in gates if not gate.passed)

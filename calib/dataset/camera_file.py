@@ -16,10 +16,10 @@ from calib.core.arrays import FloatArray
 from calib.core.errors import InputError
 from calib.dataset.kalibr_yaml import looks_like_kalibr, read_kalibr
 from calib.dataset.lens_slips import lens_fault
-from calib.dataset.manifest import DISTORTION_LENGTHS
 from calib.dataset.messages import shown
-from calib.dataset.opencv_yaml import looks_like_yaml, read_yaml_camera
+from calib.dataset.opencv_yaml import YamlCamera, looks_like_yaml, read_yaml_camera
 from calib.geometry.camera import Camera
+from calib.geometry.lens import coefficients_fault
 
 MODEL_LIMIT_BYTES = 64 * 1024 * 1024
 """mrcal keeps all that went into the solve in its file: some MB after a thousand images."""
@@ -65,9 +65,9 @@ def read_camera(text: str, *, name: str, camera: str = "c1") -> Camera:
         If it is in none of these formats, or its lens model is none of OpenCV's.
     """
     if looks_like_kalibr(text):
-        return _camera(*read_kalibr(text, name=name, camera=camera), name)
+        return _camera(read_kalibr(text, name=name, camera=camera), name)
     if looks_like_yaml(text):
-        return _camera(*read_yaml_camera(text, name=name), name)
+        return _camera(read_yaml_camera(text, name=name), name)
     if "lensmodel" not in text:
         _refuse(
             name,
@@ -102,7 +102,7 @@ def _mrcal(text: str, name: str) -> Camera:
     fx, fy, cx, cy = values[:4]
     matrix = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
     size = _vector(model.get("imagersize"), name, "imagersize")
-    return _camera(matrix, values[4:], size, name)
+    return _camera(YamlCamera(matrix, values[4:], size), name)
 
 
 def _literal(text: str, name: str) -> Mapping[str, Any]:
@@ -137,23 +137,20 @@ def _vector(value: object, name: str, key: str) -> FloatArray:
     _refuse(name, f"'{key}' is not a list of finite numbers", "write the file again")
 
 
-def _camera(matrix: FloatArray, distortion: FloatArray, size: FloatArray, name: str) -> Camera:
+def _camera(found: YamlCamera, name: str) -> Camera:
     """Return a camera of checked numbers."""
+    matrix, distortion, size, projection = found
     if matrix.shape != (3, 3) or not np.array_equal(
         matrix * [[0, 1, 0], [1, 0, 0], [1, 1, 1]], [[0, 0, 0], [0, 0, 0], [0, 0, 1]]
     ):
         _refuse(name, "its matrix is not [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]", "check the file")
     if min(matrix[0, 0], matrix[1, 1]) <= 0:
         _refuse(name, "its focal lengths are not positive", "check the file")
-    if len(distortion) not in DISTORTION_LENGTHS:
-        _refuse(
-            name,
-            f"has {len(distortion)} distortion coefficients",
-            f"OpenCV's models have {', '.join(map(str, DISTORTION_LENGTHS))}",
-        )
+    if fault := coefficients_fault(projection, len(distortion)):
+        _refuse(name, f"has {len(distortion)} distortion coefficients", fault)
     if len(size) != 2 or not 1 <= min(size) <= max(size) <= LONGEST_SIDE_PX or np.any(size % 1):
         _refuse(name, "its image size is not two whole numbers", "check the file")
-    camera = Camera(matrix, distortion, (int(size[0]), int(size[1])))
-    if fault := lens_fault(matrix, distortion.tolist(), camera.image_size):
-        _refuse(name, *fault)
+    camera = Camera(matrix, distortion, (int(size[0]), int(size[1])), projection)
+    if wrong := lens_fault(matrix, distortion.tolist(), camera.image_size, projection):
+        _refuse(name, *wrong)
     return camera

@@ -10,7 +10,7 @@ from calib.core.arrays import FloatArray
 from calib.core.owner import Owner
 from calib.dataset.manifest import Manifest
 from calib.dataset.messages import row_place
-from calib.dataset.tables import GazeTable, LengthTable, SweepTable
+from calib.dataset.tables import GazeTable, LengthTable, ReturnTable, SweepTable
 from calib.geometry.board import Board
 from calib.geometry.camera import Camera
 
@@ -27,7 +27,7 @@ class Dataset:
         What dataset.toml says.
     sha256
         Fingerprint of the manifest, the tables and all files they name: of names and bytes.
-    gaze, validation, sweep, lengths
+    gaze, validation, sweep, lengths, returns
         The tables; None where the manifest names none.
     board
         None if the manifest has none. Its target is the corner next to the middle where the
@@ -55,6 +55,7 @@ class Dataset:
     validation: GazeTable | None
     sweep: SweepTable | None
     lengths: LengthTable | None
+    returns: ReturnTable | None
     board: Board | None
     images: Mapping[str, tuple[str, ...]]
     stereo_pairs: Mapping[str, tuple[str, str]]

@@ -72,7 +72,7 @@ def parse_manifest(data: bytes) -> Parsed:
         return Parsed(None, {}, error.problems)
     tables = {
         name: section["table"]
-        for name in ("gaze", "validation", "sweep", "lengths")
+        for name in ("gaze", "validation", "sweep", "lengths", "returns")
         if isinstance(section := raw.get(name), dict) and isinstance(section.get("table"), str)
     }
     rig = raw.get("rig")

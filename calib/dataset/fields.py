@@ -14,6 +14,7 @@ from pydantic import AfterValidator, BeforeValidator, Field
 from pydantic_core import PydanticCustomError
 
 from calib.dataset.messages import shown, suggestion, text_fault
+from calib.geometry.lens import ProjectionName, coefficients_fault
 from calib.geometry.parameters import NAMES, REFERENCE_OFFSET
 
 NOISE_PRIOR: Final = "log_noise_scale"
@@ -49,6 +50,15 @@ def refuse(what: str, remedy: str) -> NoReturn:
         Always; pydantic adds the place and goes on to the next value.
     """
     raise PydanticCustomError(REFUSED, "{what}", {"what": what, "remedy": remedy})
+
+
+def refuse_coefficients(
+    projection: ProjectionName | None, distortion: tuple[float, ...] | None
+) -> None:
+    """Refuse a lens with a number of coefficients that its model, or OpenCV's, never has."""
+    count = len(distortion or ())
+    if fault := coefficients_fault(projection or "perspective", count):
+        refuse(f"distortion has {count} coefficients", fault)
 
 
 def _line(text: str) -> str:

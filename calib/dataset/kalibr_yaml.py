@@ -1,13 +1,13 @@
 """Cameras in Kalibr's ``camchain``: plain YAML with one section a camera.
 
-It names the lens model, and is read as that model or refused: the four coefficients of a fisheye
-model are no k1, k2, p1, p2.
+It names the lens model, and is read as that model or refused: the four coefficients of an
+equidistant lens are no k1, k2, p1, p2.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from types import MappingProxyType
 from typing import Any, NoReturn
 
@@ -18,10 +18,13 @@ from calib.core.arrays import FloatArray
 from calib.core.errors import InputError
 from calib.dataset.messages import shown
 from calib.dataset.opencv_yaml import YamlCamera, by_key, number, root_of
+from calib.geometry.lens import ProjectionName
 
 _SECTION = re.compile(r"^cam\d+\s*:", re.M)
 
-MODELS: Mapping[str, int] = MappingProxyType({"radtan": 4, "none": 0})
+MODELS: Mapping[str, tuple[ProjectionName, int]] = MappingProxyType(
+    {"radtan": ("perspective", 4), "equidistant": ("equidistant", 4), "none": ("perspective", 0)}
+)
 """Distortion models that are OpenCV's, with their number of coefficients."""
 
 
@@ -59,23 +62,24 @@ def read_kalibr(text: str, *, name: str, camera: str) -> YamlCamera:
     _known(name, "camera_model", _text(section.get("camera_model")), ("pinhole",))
     model = _text(section.get("distortion_model", yaml.ScalarNode("", "none")))
     _known(name, "distortion_model", model, MODELS)
-    lens = _numbers(section, "distortion_coeffs", name) if MODELS[model] else np.zeros(0)
-    if len(lens) != MODELS[model]:
-        what = f"{model} has {MODELS[model]} coefficients, here are {len(lens)}"
+    projection, count = MODELS[model]
+    lens = _numbers(section, "distortion_coeffs", name) if count else np.zeros(0)
+    if len(lens) != count:
+        what = f"{model} has {count} coefficients, here are {len(lens)}"
         _refuse(name, what, "check which model they are of")
     values = _numbers(section, "intrinsics", name)
     if len(values) != 4:
         _refuse(name, "'intrinsics' has not four numbers", "write it again with Kalibr")
     fx, fy, cx, cy = values
     matrix = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
-    return YamlCamera(matrix, lens, _numbers(section, "resolution", name))
+    return YamlCamera(matrix, lens, _numbers(section, "resolution", name), projection)
 
 
 def _refuse(name: str, what: str, remedy: str) -> NoReturn:
     raise InputError.single(where=name, what=what, remedy=remedy)
 
 
-def _known(name: str, key: str, value: str, known: Mapping[str, int] | tuple[str, ...]) -> None:
+def _known(name: str, key: str, value: str, known: Collection[str]) -> None:
     if value not in known:
         _refuse(
             name,

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from calib.core.arrays import FloatArray
+from calib.geometry.lens import ProjectionName
 
 SMALLEST_FOCAL_PX = 20.0
 """A focal length below it is in millimetres, or the image is a stamp."""
@@ -29,7 +30,10 @@ _MATLAB = (
 
 
 def lens_fault(
-    matrix: FloatArray, distortion: Sequence[float], size: tuple[int, int] | None
+    matrix: FloatArray,
+    distortion: Sequence[float],
+    size: tuple[int, int] | None,
+    projection: ProjectionName | None = None,
 ) -> tuple[str, str] | None:
     """Return what cannot be meant and its remedy; None if nothing is wrong.
 
@@ -41,6 +45,8 @@ def lens_fault(
         In OpenCV's order.
     size
         Width and height of the image, px; None where it is not known.
+    projection
+        Of the lens model; None for perspective.
     """
     focal = matrix[[0, 1], [0, 1]]
     if focal.min() < SMALLEST_FOCAL_PX:
@@ -50,6 +56,8 @@ def lens_fault(
         cx, cy = matrix[:2, 2]
         what = f"cx = {cx:g} and cy = {cy:g} look exchanged in an image of {size[0]} x {size[1]}"
         return what, f"write cx = {cy:g}, cy = {cx:g}, or correct the image size"
+    if projection not in (None, "perspective"):
+        return None
     tangential = np.abs(np.asarray(distortion[2:4], dtype=np.float64))
     if tangential.size and tangential.max() > LARGEST_TANGENTIAL:
         values = f"p1 = {distortion[2]:g}, p2 = {distortion[3]:g}"

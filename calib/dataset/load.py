@@ -9,8 +9,6 @@ from pathlib import Path, PurePosixPath
 from types import MappingProxyType
 from typing import Protocol, TypeVar
 
-import numpy as np
-
 from calib.core.arrays import FloatArray
 from calib.core.errors import InputError, Problem
 from calib.dataset import manifest as spec
@@ -31,9 +29,11 @@ from calib.dataset.folder import (
     matches,
     path_fault,
 )
+from calib.dataset.lens_section import stated_camera
 from calib.dataset.messages import shortened, shown, text_fault
 from calib.dataset.pictures import missing_sizes, picture_faults, with_sizes
 from calib.dataset.readers import Scanned, scan_gaze, scan_lengths, scan_sweep
+from calib.dataset.returns import scan_returns
 from calib.dataset.tables import SweepTable
 from calib.geometry.board import Board
 from calib.geometry.camera import Camera
@@ -124,6 +124,7 @@ class _Loading:
         validation = self._table(tables, "validation", scan_rows)
         sweep = self._table(tables, "sweep", scan_sweep)
         lengths = self._table(tables, "lengths", scan_lengths)
+        returns = self._table(tables, "returns", scan_returns)
         manifest = parsed.manifest
         if manifest is None:
             return None
@@ -137,6 +138,7 @@ class _Loading:
             validation=validation,
             sweep=self._sweep(sweep, manifest.sweep),
             lengths=lengths,
+            returns=returns,
             board=board,
             images=self._intrinsic_images(manifest, cache),
             stereo_pairs=self._stereo_pairs(manifest.stereo, cache),
@@ -186,7 +188,9 @@ class _Loading:
         text = self.attempt(lambda: self._text(name, limit=TABLE_LIMIT_BYTES, where=where))
         if text is None:
             return None
-        if self.rows_to_come and section == "gaze" and len(text.strip().splitlines()) == 1:
+        # Returns may all have been struck, which leaves the header.
+        may_be_empty = section == "returns" or (self.rows_to_come and section == "gaze")
+        if may_be_empty and len(text.strip().splitlines()) == 1:
             return None
         scanned = self.attempt(lambda: scan(text, name=name))
         if scanned is None:
@@ -326,9 +330,8 @@ class _Loading:
 
     def _camera(self, section: spec.Camera, name: str) -> Camera | None:
         where = f"{MANIFEST}, [cameras.{name}] model"
-        if section.matrix is not None and section.image_size is not None:
-            distortion = np.array(section.distortion or (), dtype=np.float64)
-            return Camera(np.array(section.matrix), distortion, section.image_size)
+        if section.image_size is not None and section.matrix is not None:
+            return stated_camera(section, section.image_size)
         if section.model is None:
             return None
         text = self._text(section.model, limit=MODEL_LIMIT_BYTES, where=where)

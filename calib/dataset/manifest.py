@@ -38,18 +38,17 @@ from calib.dataset.fields import (
     UX1c,
     UZRel,
     refuse,
+    refuse_coefficients,
 )
 from calib.dataset.lens_slips import lens_fault
 from calib.dataset.messages import shown, suggestion
 from calib.dataset.section import Section
+from calib.geometry.lens import ProjectionName
 
 CAMERAS: Final = ("c1", "c2")
 
 DEFAULT_U_X1C = 0.0002
 """A corner found to 0.1 px by a lens of 500 px; taken, with a warning, where nothing is stated."""
-
-DISTORTION_LENGTHS = (0, 4, 5, 8, 12, 14)
-"""Of OpenCV's lens models: k1 k2 p1 p2, k3, k4 k5 k6, s1 s2 s3 s4, tx ty."""
 
 DICTIONARIES = (
     *(f"DICT_{n}X{n}_{count}" for n in (4, 5, 6, 7) for count in (50, 100, 250, 1000)),
@@ -146,6 +145,7 @@ class Board(Section):
 class Camera(Section):
     """One camera: images of the board, a finished model, or given intrinsics.
 
+    `projection` says of which lens model `distortion` is: "perspective" where it is left out.
     `exclude` names images that are left out. `u_focal`, relative, and `u_centre_px` are standard
     uncertainties of a lens that is given; without them `calib.dataset.given_lens` has some.
     """
@@ -156,6 +156,7 @@ class Camera(Section):
     model: Line | None = None
     matrix: CameraMatrix | None = None
     distortion: tuple[Number, ...] | None = None
+    projection: ProjectionName | None = None
     u_focal: UFocal | None = None
     u_centre_px: NotNegative | None = None
 
@@ -183,11 +184,9 @@ class Camera(Section):
             )
         if self.distortion is not None and self.matrix is None:
             refuse("distortion is given without matrix", "give both, or neither")
-        if len(self.distortion or ()) not in DISTORTION_LENGTHS:
-            refuse(
-                f"distortion has {len(self.distortion or ())} coefficients",
-                f"OpenCV's models have {', '.join(map(str, DISTORTION_LENGTHS))}",
-            )
+        if self.projection is not None and self.matrix is None:
+            refuse("projection is given without matrix", "remove it: pictures and models tell it")
+        refuse_coefficients(self.projection, self.distortion)
         if self.matrix is not None and self.image_size is not None:
             centre = self.matrix[0][2], self.matrix[1][2]
             if not all(0 < c < size for c, size in zip(centre, self.image_size, strict=True)):
@@ -195,7 +194,9 @@ class Camera(Section):
                     f"the principal point ({centre[0]:g}, {centre[1]:g}) lies outside the image",
                     "check matrix and image_size; they must belong to images of one size",
                 )
-            slip = lens_fault(np.array(self.matrix), self.distortion or (), self.image_size)
+            slip = lens_fault(
+                np.array(self.matrix), self.distortion or (), self.image_size, self.projection
+            )
             if slip is not None:
                 refuse(f"matrix: {slip[0]}", slip[1])
         return self
@@ -293,9 +294,13 @@ class Validation(Section):
 
 
 class Table(Section):
-    """A section that names a table and nothing else: lengths."""
+    """A section that names a table and nothing else, such as lengths."""
 
     table: Line
+
+
+class Returns(Table):
+    """Returns to the first target while rows were captured: whether the zero stood still."""
 
 
 class Corrections(Section):
@@ -370,6 +375,7 @@ class Manifest(Section):
     validation: Validation | None = None
     sweep: Sweep | None = None
     lengths: Table | None = None
+    returns: Returns | None = None
     priors: Priors = Field(default_factory=dict)
     corrections: Corrections | None = None
     published: Published = Field(default_factory=dict)

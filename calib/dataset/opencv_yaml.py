@@ -17,6 +17,7 @@ import yaml
 from calib.core.arrays import FloatArray
 from calib.core.errors import InputError
 from calib.dataset.messages import shown
+from calib.geometry.lens import ProjectionName, coefficients_fault
 
 YAML_LIMIT = 4 * 1024 * 1024
 """Characters: the corners of a thousand views, which OpenCV's sample may write into the file."""
@@ -38,7 +39,21 @@ BROWN: Final = {
     "perspective": (0, 4, 5, 8, 12, 14),
     "none": (0,),
 }
-"""Names of lens models that are OpenCV's, with the numbers of their coefficients."""
+"""Names of OpenCV's pinhole models, with the numbers of their coefficients."""
+
+EQUIDISTANT: Final = (
+    *(
+        "equidistant",
+        "equi_distant",
+        "equi",
+        "fisheye",
+        "opencv_fisheye",
+        "kannala_brandt",
+        "kannalabrandt",
+    ),
+    *("kannalabrandt4", "kannalabrandt8", "kb4"),
+)
+"""Names of OpenCV's fisheye model; ORB-SLAM counts its focal lengths and centre in, to 8."""
 
 _OTHERS = re.compile(
     r"equi-?_?dist|fish-?_?eye|kannala|brandt|\bkb\d*|omni|\bmei\b|\be?ucm\b|unified|double_?"
@@ -59,11 +74,12 @@ _AGAIN = "write the file again with cv2.FileStorage"
 
 
 class YamlCamera(NamedTuple):
-    """What a file says: matrix (r, c), distortion (k,), image size (2,); finite or infinite."""
+    """What a file says: matrix (r, c), lens (k,) and its model, image size (2,), finite or not."""
 
     matrix: FloatArray
     distortion: FloatArray
     size: FloatArray
+    projection: ProjectionName = "perspective"
 
 
 def looks_like_yaml(text: str) -> bool:
@@ -88,16 +104,17 @@ def read_yaml_camera(text: str, *, name: str) -> YamlCamera:
     """
     root = root_of(text, name)
     lens = next((key for key in _DISTORTION_NAMES if key in root), _DISTORTION_NAMES[0])
-    _check_model(root, name)
+    projection = _projection(root, name)
     for key in ("camera_matrix", lens, "image_width", "image_height"):
         if key not in root:
             _refuse(name, f"has no '{key}'", "write the file as OpenCV's calibration sample does")
     distortion = _matrix(root[lens], name, lens).ravel()
-    _check_count(root, len(distortion), name)
+    _check_count(root, len(distortion), projection, name)
     return YamlCamera(
         matrix=_matrix(root["camera_matrix"], name, "camera_matrix"),
         distortion=distortion,
         size=np.array([number(root[key]) for key in ("image_width", "image_height")]),
+        projection=projection,
     )
 
 
@@ -175,26 +192,53 @@ def _named_models(root: Mapping[str, Any]) -> dict[str, str]:
     }
 
 
-def _check_model(root: Mapping[str, Any], name: str) -> None:
-    """Refuse a file that names a lens model which is none of OpenCV's."""
-    remedy = "calibrate with the pinhole model and rational distortion, or give images"
+def _projection(root: Mapping[str, Any], name: str) -> ProjectionName:
+    """Return the lens model that a file names, perspective if none.
+
+    Raises
+    ------
+    InputError
+        If it is another one, or two of them.
+    """
+    found: dict[ProjectionName, str] = {}
     for key, value in _named_models(root).items():
+        plain = _plain(value)
         if key == "fisheye_model":
             if number(root[key]) != 0:
-                _refuse(name, "is a fisheye model", remedy)
-        elif _plain(value) in BROWN:
-            continue
+                found["equidistant"] = f"{key} {value}"
+        elif plain in EQUIDISTANT:
+            found["equidistant"] = f"{key} {shown(value)}"
+        elif plain in BROWN:
+            # With fisheye_model a pinhole may be the camera that the lens stands before.
+            if plain not in ("pinhole", "perspective"):
+                found["perspective"] = f"{key} {shown(value)}"
         elif _OTHERS.search(value) or key.lower() in _SURE_KEYS:
-            _refuse(name, f"{key} {shown(value)} is none of OpenCV's lens models", remedy)
+            _refuse(
+                name,
+                f"{key} {shown(value)} is none of OpenCV's lens models",
+                "calibrate with one of them (pinhole, rational, fisheye), or give images",
+            )
+    if len(found) > 1:
+        said = " and ".join(found.values())
+        _refuse(name, f"names two lens models: {said}", "check which one the coefficients are of")
+    return next(iter(found), "perspective")
 
 
-def _check_count(root: Mapping[str, Any], count: int, name: str) -> None:
+def _check_count(
+    root: Mapping[str, Any], count: int, projection: ProjectionName, name: str
+) -> None:
+    """Refuse a number of coefficients that the model named does not have."""
+    remedy = "check which model the coefficients are of"
+    if projection == "equidistant":
+        if fault := coefficients_fault(projection, count):
+            _refuse(name, f"has {count} distortion coefficients, and {fault}", remedy)
+        return
     for key, value in _named_models(root).items():
         counts = BROWN.get(_plain(value), (count,))
         if count not in counts:
             wanted = " or ".join(map(str, counts))
             what = f"{key} {shown(value)} has {wanted} coefficients, and {count} are given"
-            _refuse(name, what, "check which model the coefficients are of")
+            _refuse(name, what, remedy)
 
 
 def _plain(value: str) -> str:

@@ -24,10 +24,10 @@ from calib.dataset.plausible import (
     check_normalised,
     check_sight_lines,
 )
-from calib.dataset.tables import GazeTable, LengthTable, SweepTable, freeze
+from calib.dataset.tables import GazeTable, LengthTable, ReturnTable, SweepTable, freeze
 
 T = TypeVar("T")
-T_table = TypeVar("T_table", GazeTable, SweepTable, LengthTable)
+T_table = TypeVar("T_table", GazeTable, SweepTable, LengthTable, ReturnTable)
 
 GAZE_COLUMNS = (
     "id",
@@ -81,7 +81,8 @@ class Scanned(Generic[T]):
         return self.table
 
 
-def _scanned(cells: Cells, table: T_table) -> Scanned[T_table]:
+def scanned(cells: Cells, table: T_table) -> Scanned[T_table]:
+    """Return a finished table, frozen, with the faults that its cells were found to have."""
     freeze(table)
     return Scanned(table, shortened(cells.problems, where=cells.file))
 
@@ -152,7 +153,7 @@ def scan_gaze(
     """
     cells = read_cells(text, file=name, known=GAZE_COLUMNS, pattern=REFERENCE_COLUMN)
     _check_sources(cells, reference=reference, by_board=by_board)
-    ids = _ids(cells)
+    ids = identities(cells)
     x1c, y1c = _pair(cells, "x1c", "y1c", alone=reference)
     u1_px, v1_px = _pair(cells, "u1_px", "v1_px", alone=False)
     check_normalised(cells, "x1c", x1c)
@@ -183,7 +184,7 @@ def scan_gaze(
         time_s=read_times(cells),
         approach=read_approaches(cells),
     )
-    return _scanned(cells, table)
+    return scanned(cells, table)
 
 
 def _check_sources(cells: Cells, *, reference: bool, by_board: bool) -> None:
@@ -209,13 +210,13 @@ def scan_sweep(text: str, *, name: str) -> Scanned[SweepTable]:
     table = SweepTable(
         file=name,
         line=cells.lines,
-        ids=_ids(cells),
-        placements=_filled(cells, "placement"),
-        image_c2=_filled(cells, "image_c2"),
+        ids=identities(cells),
+        placements=filled(cells, "placement"),
+        image_c2=filled(cells, "image_c2"),
         alpha2_rad=_degrees(cells, needed=True),
     )
     _unique(cells, "image_c2", "each turn of the sweep needs an image of its own")
-    return _scanned(cells, table)
+    return scanned(cells, table)
 
 
 def scan_lengths(text: str, *, name: str, known: bool = True) -> Scanned[LengthTable]:
@@ -231,7 +232,7 @@ def scan_lengths(text: str, *, name: str, known: bool = True) -> Scanned[LengthT
     cells = read_cells(text, file=name, known=LENGTH_COLUMNS)
     needed = LENGTH_COLUMNS if known else ("id", "from", "to")
     require_columns(cells, [(column,) for column in needed])
-    start, end = _filled(cells, "from"), _filled(cells, "to")
+    start, end = filled(cells, "from"), filled(cells, "to")
     same = [bool(a) and a == b for a, b in zip(start, end, strict=True)]
     cells.report(same, "to", "is the same row as 'from'", "give two different rows")
     length, u_length = cells.numbers("length_mm"), cells.numbers("u_length_mm")
@@ -239,8 +240,8 @@ def scan_lengths(text: str, *, name: str, known: bool = True) -> Scanned[LengthT
         for column in ("length_mm", "u_length_mm"):
             _require_filled(cells, column, "give a value in mm")
     check_lengths(cells, length, u_length)
-    table = LengthTable(name, cells.lines, _ids(cells), start, end, length, u_length)
-    return _scanned(cells, table)
+    table = LengthTable(name, cells.lines, identities(cells), start, end, length, u_length)
+    return scanned(cells, table)
 
 
 def _require_filled(cells: Cells, column: str, remedy: str = "fill it in every row") -> None:
@@ -249,7 +250,7 @@ def _require_filled(cells: Cells, column: str, remedy: str = "fill it in every r
         cells.report(~cells.present(column), column, "is empty", remedy)
 
 
-def _filled(cells: Cells, column: str) -> tuple[str, ...]:
+def filled(cells: Cells, column: str) -> tuple[str, ...]:
     """Return a column of names; reports empty cells."""
     names = cells.names(column)
     _require_filled(cells, column)
@@ -273,9 +274,9 @@ def _unique(cells: Cells, column: str, remedy: str) -> None:
     )
 
 
-def _ids(cells: Cells) -> tuple[str, ...]:
+def identities(cells: Cells) -> tuple[str, ...]:
     """Return the ids; reports empty and repeated ones."""
-    ids = _filled(cells, "id")
+    ids = filled(cells, "id")
     _unique(cells, "id", "give each row an id of its own")
     return ids
 
@@ -299,11 +300,11 @@ def _one_of(
     names = " or ".join(" with ".join(source) for source in sources)
     if not any(column in cells for source in sources for column in source):
         return
-    filled = np.stack([cells.present(*source) for source in sources])
-    count = filled.sum(axis=0)
+    given_by = np.stack([cells.present(*source) for source in sources])
+    count = given_by.sum(axis=0)
 
     def several(row: int) -> str:
-        given = [source[0] for source, f in zip(sources, filled[:, row], strict=True) if f]
+        given = [source[0] for source, f in zip(sources, given_by[:, row], strict=True) if f]
         return f"{' and '.join(given)} are given"
 
     cells.report(count > 1, None, several, f"give one of {names}")

@@ -150,7 +150,36 @@ class LengthTable:
         return len(self.ids)
 
 
-def freeze(table: GazeTable | SweepTable | LengthTable) -> None:
+@dataclass(frozen=True)
+class ReturnTable:
+    """Returns to the target of the first row, in their order.
+
+    Parameters
+    ----------
+    file, line, ids
+        As in `GazeTable`.
+    of, after
+        Ids of the row whose target was returned to, and of the last row before the return.
+    change_rad
+        By how much the reading that gazes at the target has grown since, (n,).
+    u_change_rad, u_first_rad
+        Standard uncertainties of the return's own reading and of that row's, (n,).
+    """
+
+    file: str
+    line: tuple[int, ...]
+    ids: tuple[str, ...]
+    of: tuple[str, ...]
+    after: tuple[str, ...]
+    change_rad: FloatArray
+    u_change_rad: FloatArray
+    u_first_rad: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+
+def freeze(table: GazeTable | SweepTable | LengthTable | ReturnTable) -> None:
     """Make the arrays of a table read-only."""
     arrays = [*vars(table).values(), *vars(table).get("references", {}).values()]
     for array in arrays:

@@ -7,17 +7,20 @@ from typing import Literal, Self
 from pydantic import ConfigDict, Field, model_validator
 
 from calib.document.part import Matrix, Part, Vector
-
-LENS_COEFFICIENTS = (0, 4, 5, 8, 12, 14)
-"""Numbers of coefficients that OpenCV's lens model can have."""
+from calib.geometry.lens import ProjectionName, coefficients_fault
 
 
 class CameraMatrix(Part):
-    """A pinhole with the distortion of its lens."""
+    """A camera with its lens."""
 
     matrix: Matrix = Field(description="px, the centre of the top-left pixel is (0, 0)")
     distortion: Vector = Field(description="OpenCV's order")
     image_size: tuple[int, int] = Field(description="width and height, px")
+    projection: ProjectionName | None = Field(
+        None,
+        description='lens model of distortion: "equidistant" (cv2.fisheye, k1 to k4); absent, it '
+        "is perspective",
+    )
 
 
 class MeasuringCamera(CameraMatrix):
@@ -26,8 +29,8 @@ class MeasuringCamera(CameraMatrix):
     model_config = ConfigDict(allow_inf_nan=False)
 
     @model_validator(mode="after")
-    def _is_a_pinhole(self) -> Self:
-        if len(self.distortion) not in LENS_COEFFICIENTS:
+    def _is_a_camera(self) -> Self:
+        if coefficients_fault(self.projection or "perspective", len(self.distortion)):
             raise ValueError(f"{len(self.distortion)} lens coefficients fit no model")
         if tuple(map(len, self.matrix)) != (3, 3, 3):
             raise ValueError("the matrix is not of shape (3, 3)")
@@ -63,8 +66,9 @@ class JointLens(Part):
 class Intrinsics(Lens):
     """The selected intrinsics of one camera."""
 
-    source: Literal["mrcal", "opencv", "given"] = Field(
-        description="whose solve of the camera's own pictures; a joint solve may have refined it"
+    source: Literal["mrcal", "opencv", "joint", "given"] = Field(
+        description="whose solve of the camera's own pictures (joint: this program's own); a joint "
+        "solve may have refined it"
     )
     joint: JointLens | None = Field(None, description="where a joint solve refined them")
     covariance: Matrix | None = Field(None, description="of fx, fy, cx, cy, distortion; px and 1")

@@ -9,6 +9,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from calib.core.arrays import FloatArray
+from calib.core.unit_diagonal import unit_diagonal
 from calib.document.cameras import MeasuringCamera
 from calib.document.part import FinitePart, Matrix, NotNegative, Positive, Vector
 from calib.geometry.parameters import NAMES
@@ -174,10 +175,8 @@ class Measurement(ByOneModel):
 
 
 def _is_covariance(covariance: FloatArray) -> bool:
-    diagonal = np.diag(covariance)
-    if np.any(diagonal < 0):
+    if np.any(np.diagonal(covariance) < 0):
         return False
-    unit = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
-    correlation = covariance / np.outer(unit, unit)
+    correlation = unit_diagonal(covariance)[1]
     symmetric = np.abs(correlation - correlation.T).max(initial=0.0) <= SYMMETRY
     return bool(symmetric and np.linalg.eigvalsh(correlation).min(initial=0.0) >= -SYMMETRY)

@@ -17,6 +17,7 @@ import numpy as np
 from scipy.special import fdtrc
 
 from calib.core.arrays import FloatArray, IntArray
+from calib.core.unit_diagonal import Spectrum
 from calib.fit.information import kept
 from calib.fit.noise import own_sigma
 from calib.fit.robust import RobustFit
@@ -67,7 +68,8 @@ def check_groups(rows: Observations, fit: RobustFit) -> GroupCheck:
     some = rows.take(chosen)
     c = misclosure(fit.theta, some.gaze, some.z_mm, parameters=fit.structure.indices)
     weight = 1 / (own_sigma(c, some.std) * fit.noise_scale)
-    slope = weight[:, None] * (c.by_theta @ _root(fit.covariance - fit.by_shared @ fit.by_shared.T))
+    own = Spectrum.of(fit.covariance - fit.by_shared @ fit.by_shared.T)
+    slope = weight[:, None] * (c.by_theta @ own.root())
     shared = np.zeros((len(some), 0))
     if some.shared_names:
         moved = c.by_theta @ fit.by_shared[:, : len(some.shared_names)]
@@ -75,14 +77,6 @@ def check_groups(rows: Observations, fit: RobustFit) -> GroupCheck:
         shared = weight[:, None] * (push + moved)
     depth = weight * c.by_observable[:, OBSERVABLE.z] * some.z_mm
     return _compared(_Parts(weight * c.value, slope, shared, depth, label), fit.tails.efficiency)
-
-
-def _root(covariance: FloatArray) -> FloatArray:
-    """Return a square root, shape (p, p), of a covariance that rounding may have spoilt."""
-    unit = np.sqrt(np.diag(covariance))
-    value, vectors = np.linalg.eigh(covariance / np.outer(unit, unit))
-    root: FloatArray = unit[:, None] * vectors * np.sqrt(np.maximum(value, 0.0))
-    return root
 
 
 def _looked_at(rows: Observations, fit: RobustFit) -> tuple[IntArray, IntArray]:

@@ -17,6 +17,7 @@ from scipy.special import gammaln, logsumexp
 
 from calib.core.arrays import FloatArray
 from calib.core.errors import EstimationError
+from calib.core.unit_diagonal import unit_diagonal
 
 ROUNDS = 8
 MAXIMUM_ROUNDS = 32
@@ -120,11 +121,11 @@ class Proposal:
     @classmethod
     def around(cls, centre: FloatArray, covariance: FloatArray) -> Proposal:
         """Return the proposal, or raise LinAlgError if the covariance is singular."""
-        unit = np.sqrt(np.diag(covariance))
-        if not np.all(unit > 0):
+        if not np.all(np.diagonal(covariance) > 0):
             raise np.linalg.LinAlgError("a quantity has no spread")
-        correlation = covariance / np.outer(unit, unit) + 1e-12 * np.eye(len(unit))
-        return cls(centre, unit[:, None] * np.linalg.cholesky(correlation))
+        std, correlation = unit_diagonal(covariance)
+        wider = correlation + 1e-12 * np.eye(len(std))
+        return cls(centre, std[:, None] * np.linalg.cholesky(wider))
 
     def draw(self, count: int, rng: np.random.Generator | np.random.RandomState) -> FloatArray:
         """Return draws, shape (count, d)."""

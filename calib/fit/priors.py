@@ -8,10 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.core.arrays import FloatArray
+from calib.core.unit_diagonal import Spectrum
 from calib.geometry.parameters import PARAMETERS, REFERENCE_OFFSET, Model
 
 NOISE_SCALE = "log_noise_scale"
 """Natural logarithm of the factor by which the stated uncertainties of the rows are wrong."""
+
+OPEN = 1e-14
+"""Share of the largest eigenvalue of a precision at which a direction is taken as not known."""
 
 NOISE_SCALE_PRIOR = (0.0, 1.0)
 """Stated uncertainties are right within a factor of e, one time in three worse.
@@ -89,14 +93,9 @@ class NormalKnowledge:
 
     def root(self) -> tuple[FloatArray, FloatArray]:
         """Return A, shape (r, p), and b, shape (r,), with (A x - b)² the negative double log."""
-        # To unit diagonal first: precisions in 1/rad² and 1/mm² are many powers of ten apart.
-        diagonal = np.diag(self.precision)
-        unit = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
-        value, vector = np.linalg.eigh(self.precision * np.outer(unit, unit))
-        keep = value > 1e-14 * max(value[-1], 1e-300)
-        a = np.sqrt(value[keep])[:, None] * vector[:, keep].T / unit
-        b = (vector[:, keep].T @ (unit * self.shift)) / np.sqrt(value[keep])
-        return a, b
+        spectrum = Spectrum.of(self.precision)
+        a = spectrum.root(least=OPEN).T
+        return a, spectrum.inverse_root(least=OPEN).T @ self.shift
 
 
 def prior_of(model: Model, priors: Priors) -> NormalKnowledge:

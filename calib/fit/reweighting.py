@@ -16,6 +16,7 @@ from scipy.optimize import least_squares
 
 from calib.core.arrays import BoolArray, FloatArray
 from calib.core.errors import EstimationError
+from calib.core.unit_diagonal import Spectrum
 from calib.fit.groups import added_covariance
 from calib.fit.noise import (
     KEPT_SHARE,
@@ -343,14 +344,12 @@ def inverse(information: FloatArray, model: Model) -> FloatArray:
     EstimationError
         If it is singular.
     """
-    diagonal = np.diag(information)
-    unit = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
-    value, vectors = np.linalg.eigh(information * np.outer(unit, unit))
-    if value[0] <= 1e-13 * value[-1]:
-        involved = [n for n, v in zip(model.free, vectors[:, 0], strict=True) if abs(v) > 0.1]
+    spectrum = Spectrum.of(information)
+    if spectrum.span <= 1e-13:
+        least_known = np.abs(spectrum.vectors[:, 0])
+        involved = [n for n, v in zip(model.free, least_known, strict=True) if v > 0.1]
         raise EstimationError(
             f"the rows do not determine {', '.join(involved)} of model {model.name}; "
             "add targets at other depths and yaw angles, or state a prior"
         )
-    result: FloatArray = (vectors / value) @ vectors.T * np.outer(unit, unit)
-    return result
+    return spectrum.inverse()

@@ -10,7 +10,16 @@ import numpy as np
 
 from calib.core.arrays import FloatArray
 from calib.gaze.aim import Aiming
-from calib.gaze.centre import Law, Move, Rest, State, begin, clearance, decide
+from calib.gaze.centre import (
+    CLEARANCE_STEPS,
+    Law,
+    Move,
+    Rest,
+    State,
+    begin,
+    clearance,
+    decide,
+)
 from calib.gaze.row import GazeRow, Noise, Seen, make_row, refuse_moved, refuse_unsteady
 from calib.gaze.target import Target
 from calib.geometry.camera import Camera, normalise
@@ -121,9 +130,45 @@ class Gazer:
         RigError
             If there is no row to be had; the message says why.
         """
-        before = self.pictures(self.rig.c1, self.rig.clock.now_ns(), PICTURES_C1)
+        before = self._before()
         aim = aiming.aim(_mean(before), depth_mm=depth_mm)
         state, standing, first = self._centre(aim_at=begin(self.law, aim, self._standing()))
+        return self._row(before, standing, first, moves=state.moves, looks=state.looks)
+
+    def gaze_from(self, reading_rad: float) -> GazeRow:
+        """Turn C2 to a reading, whatever it then sees, and return what is read there.
+
+        Raises
+        ------
+        RigError
+            If there is no row to be had; the message says why.
+        """
+        before = self._before()
+        standing = self.stand_at(reading_rad)
+        first = self.look(self.rig.c2, self.at_rest(standing))
+        if first is None:
+            raise Refused(self.unseen("C2"))
+        return self._row(before, standing, first, moves=1, looks=0)
+
+    def stand_at(self, reading_rad: float) -> Standstill:
+        """Turn C2 to a reading, from as far below as play asks for."""
+        far_below = max(self.law.clearance_rad, CLEARANCE_STEPS * self.rig.axis.step_rad)
+        via = max(self.law.range_rad[0], reading_rad - far_below)
+        return self._go(Move(reading_rad, via))
+
+    def _before(self) -> tuple[Seen, ...]:
+        return self.pictures(self.rig.c1, self.rig.clock.now_ns(), PICTURES_C1)
+
+    def _row(
+        self,
+        before: tuple[Seen, ...],
+        standing: Standstill,
+        first: Seen,
+        *,
+        moves: int,
+        looks: int,
+    ) -> GazeRow:
+        """Take the pictures of a row where C2 stands, and return it."""
         c2 = (first, *self.pictures(self.rig.c2, _next(first), PICTURES_C2 - 1))
         after = self.pictures(self.rig.c1, _next(c2[-1]), PICTURES_C1)
         c2 = (*c2, *self.pictures(self.rig.c2, _next(after[-1]), 1))
@@ -137,8 +182,8 @@ class Gazer:
             c2=c2,
             noise_c1=self.noise_c1.after((*before, *after)),
             noise_c2=self.noise_c2.after(c2),
-            moves=state.moves,
-            looks=state.looks,
+            moves=moves,
+            looks=looks,
         )
         self.noise_c1 = self.noise_c1.after(row.c1)
         self.noise_c2 = self.noise_c2.after(row.c2)

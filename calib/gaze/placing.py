@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Protocol
 
 import numpy as np
@@ -12,6 +12,7 @@ import numpy as np
 from calib.core.arrays import FloatArray
 from calib.core.errors import UsageError
 from calib.rig.devices import RigDevices
+from calib.rig.protocols import Refused
 from calib.rig.virtual.operator import Operator
 from calib.rig.virtual.world import World
 
@@ -27,6 +28,9 @@ class Placing(Protocol):
 
     def depth_mm(self, name: str) -> tuple[float, float | None] | None:
         """Return its depth and standard uncertainty, mm; None if there is none to be had."""
+
+    def place_again(self, name: str, *, of: str) -> None:
+        """Put a target up again where it stood under the name `of`."""
 
 
 class PlatePlacing:
@@ -49,6 +53,9 @@ class PlatePlacing:
         """Return nothing: a plate has no one depth."""
         return None
 
+    def place_again(self, name: str, *, of: str) -> None:
+        """Leave the plate where it is: no capture returns to one."""
+
 
 class VirtualPlacing:
     """The hand of a virtual rig.
@@ -59,19 +66,34 @@ class VirtualPlacing:
         Where the targets go.
     held_rad
         Reading from which C2 must see them too, rad; None if there is none.
-    done
-        So many targets have been placed before.
+    before
+        Names of the targets that have been placed before, in order.
     """
 
-    def __init__(self, world: World, *, held_rad: float | None = None, done: int = 0) -> None:
+    def __init__(
+        self, world: World, *, held_rad: float | None = None, before: Sequence[str] = ()
+    ) -> None:
         self._operator = Operator(world, held_rad=held_rad)
-        for _ in range(done):
-            self._operator.show_gaze()
+        self._poses: dict[str, FloatArray] = {}
+        for name in before:
+            self.place(name)
             self._operator.ruler_mm()
 
-    def place(self, name: str) -> None:  # noqa: ARG002 - of the protocol
+    def place(self, name: str) -> None:
         """Put the next board where both cameras see all of it."""
-        self._operator.show_gaze()
+        self._poses[name] = self._operator.show_gaze()
+
+    def place_again(self, name: str, *, of: str) -> None:  # noqa: ARG002 - of the protocol
+        """Put a board up again exactly where it stood, as a fixture would.
+
+        Raises
+        ------
+        Refused
+            If this hand never put it up.
+        """
+        if of not in self._poses:
+            raise Refused(f"nobody knows where the target of {of} stood")
+        self._operator.put(self._poses[of])
 
     def depth_mm(self, name: str) -> tuple[float, float | None] | None:  # noqa: ARG002 - of the protocol
         """Return the depth as a ruler would tell it."""
@@ -106,6 +128,12 @@ class AskedPlacing:
                 return depth, None
             self._tell(f"{text!r} is no depth: a number of millimetres, above 0")
 
+    def place_again(self, name: str, *, of: str) -> None:
+        """Ask for a target that stood there before and wait for Enter."""
+        self._asked(
+            f"{name}: put the target of {of} back where it stood then, at rest, then press Enter"
+        )
+
     def _asked(self, question: str) -> str:
         self._tell(question)
         line = sys.stdin.readline() if sys.stdin is not None else ""
@@ -114,14 +142,19 @@ class AskedPlacing:
         return line
 
 
-def placing_for(rig: RigDevices, tell: Callable[[str], None], **virtual: float) -> Placing:
-    """Return the hand for a rig; `virtual` are settings of `VirtualPlacing`."""
+def placing_for(
+    rig: RigDevices,
+    tell: Callable[[str], None],
+    *,
+    held_rad: float | None = None,
+    before: Sequence[str] = (),
+) -> Placing:
+    """Return the hand for a rig; the last two are settings of `VirtualPlacing`."""
     if rig.world is None:
         return AskedPlacing(tell)
     if rig.world.sheet.corners_mm:
         return PlatePlacing(rig.world)
-    held, done = virtual.get("held_rad"), int(virtual.get("done", 0))
-    return VirtualPlacing(rig.world, held_rad=held, done=done)
+    return VirtualPlacing(rig.world, held_rad=held_rad, before=before)
 
 
 def set_swaying(rig: RigDevices) -> None:

@@ -144,14 +144,19 @@ class PlateCorner:
                 f"along {100 * doubtful:.0f} % of an edge of {self.name} there is a second edge: a "
                 "bevel, a shadow or another plate; change the light or the background"
             )
-        return self._sighting(one, other)
+        return self._sighting(one, other, np.concatenate([good[0].first, good[0].second]))
 
-    def _sighting(self, one: Line, other: Line) -> Sighting:
+    def _sighting(self, one: Line, other: Line, ends: FloatArray) -> Sighting:
         place, covariance = crossing(one, other)
         floor = float(np.sqrt(np.linalg.eigvalsh(covariance)[-1]))
         pixel = real(self.lens, place[None])[0]
         # Noise from picture to picture is counted apart; what all pictures share is the floor.
-        return Sighting(pixel, max(FLOOR_PX, floor), min(one.length_px, other.length_px))
+        return Sighting(
+            pixel,
+            max(FLOOR_PX, floor),
+            min(one.length_px, other.length_px),
+            real(self.lens, ends),
+        )
 
 
 def _why(near: list[Candidate], name: str) -> str:

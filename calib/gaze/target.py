@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final, Protocol, Self
 
 import cv2
@@ -59,11 +59,15 @@ class Sighting:
         rendered pictures, see docs/rig.md.
     size_px
         Mean spacing of its corners, or its diameter, px.
+    marks_px
+        Points by which it was found, px, shape (n, 2), NaN where not seen: a board's corners, a
+        tag's, the ends of a plate's edges. To look at.
     """
 
     pixel: FloatArray
     floor_px: float
     size_px: float
+    marks_px: FloatArray = field(default_factory=lambda: np.empty((0, 2)), compare=False)
 
 
 class Target(Protocol):
@@ -131,15 +135,17 @@ class BoardCorner(_AnyLens):
 
     def find(self, grey: Grey) -> Sighting | None:
         """Return where the corner is; None if the board or this corner is not seen."""
-        pixels = _board_corners(grey, self.board)
+        pixels = board_corners(grey, self.board)
         pixel = pixels[self.board.target_index]
         if not np.isfinite(pixel).all():
             return None
         size = _spacing(pixels, self.board)
-        return Sighting(pixel, _corner_floor(size), size)
+        return Sighting(pixel, _corner_floor(size), size, pixels)
 
 
-def _board_corners(grey: Grey, board: Board) -> FloatArray:
+def board_corners(grey: Grey, board: Board) -> FloatArray:
+    """Return a board's corners in a picture, px, shape (corners, 2); NaN where not seen."""
+    """Return the corners of a board in a picture, px, (corners, 2); NaN where not found."""
     if board.type == "charuco":
         return CharucoFinder(board).find(grey).pixels
     return find_chessboard(grey, board).pixels
@@ -178,8 +184,8 @@ class Tag(_AnyLens):
         window = int(np.clip(TAG_WINDOW_SHARE * side, *TAG_WINDOW_PX))
         refined = corners.reshape(-1, 1, 2).copy()
         cv2.cornerSubPix(grey, refined, (window, window), (-1, -1), _CRITERIA)
-        centre = _crossing(refined.reshape(4, 2).astype(np.float64))
-        return Sighting(centre, _tag_floor(side), side)
+        quad = refined.reshape(4, 2).astype(np.float64)
+        return Sighting(_crossing(quad), _tag_floor(side), side, quad)
 
 
 _CRITERIA = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 50, 1e-3)
@@ -336,4 +342,9 @@ def _tag(text: str, rest: str) -> Tag:
         raise UsageError(f"--target {text}: unknown dictionary {dictionary!r}; {hint}")
     if not (number.isascii() and number.isdigit()):
         raise UsageError(f"--target {text}: write tag:DICTIONARY:ID, such as tag:{dictionary}:7")
+    known = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary))
+    if int(number) >= len(known.bytesList):
+        raise UsageError(
+            f"--target {text}: tags of {dictionary} end with {len(known.bytesList) - 1}"
+        )
     return Tag(dictionary, int(number))

@@ -1,9 +1,6 @@
-"""The pinhole camera with OpenCV's lens model: pixels to rays and back, with derivatives.
+"""Cameras: pixels to rays and back, with derivatives, by the lens models of `calib.geometry.lens`.
 
-A ray (x, y, 1) of the camera's frame is bent by the lens model (radial rational, tangential, thin
-prism and tilted imager, with the coefficients k1, k2, p1, p2, k3, ... of OpenCV's documentation,
-"Camera Calibration and 3D Reconstruction"; mrcal's LENSMODEL_OPENCV4 to 12 are the same) and scaled
-by the matrix to pixels.
+A ray (x, y, 1) of the camera's frame is bent by the lens and scaled by the matrix to pixels.
 """
 
 from __future__ import annotations
@@ -11,20 +8,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.polynomial import Polynomial
 
 from calib.core.arrays import BoolArray, FloatArray
 from calib.core.errors import EstimationError
-
-RADIUS_MAX = 1e3
-"""Largest undistorted radius tried, a ray 89.9 deg off the axis: a pinhole model ends there."""
+from calib.geometry.lens import PROJECTIONS, Projected, ProjectionName
 
 REPROJECTION_TOLERANCE_PX = 1e-6
 """A pixel counts as undistorted when its ray projects back this near; Newton reaches 1e-11."""
 
 _NEWTON_STEPS = 30
 _NEWTON_DONE_PX = 1e-10
-_BISECTIONS = 40
 
 
 @dataclass(frozen=True)
@@ -37,14 +30,17 @@ class Camera:
         [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], px, shape (3, 3); the origin of pixel coordinates is
         the centre of the top-left pixel.
     distortion
-        OpenCV order k1, k2, p1, p2, k3, ...; shape (k,) with k one of 0, 4, 5, 8, 12, 14.
+        The lens in OpenCV's order, shape (k,), with k one of `Projection.counts`.
     image_size
         Width and height, px.
+    projection
+        Of which lens model the coefficients are.
     """
 
     matrix: FloatArray
     distortion: FloatArray
     image_size: tuple[int, int]
+    projection: ProjectionName = "perspective"
 
 
 @dataclass(frozen=True)
@@ -66,18 +62,9 @@ class Normalised:
     by_intrinsics: FloatArray
 
 
-@dataclass(frozen=True)
-class _Projection:
-    """Pixels (n, 2) with their derivatives by x, y (n, 2, 2) and by the intrinsics (n, 2, 4+k)."""
-
-    pixels: FloatArray
-    by_xy: FloatArray
-    by_intrinsics: FloatArray
-
-
 def intrinsic_names(camera: Camera) -> tuple[str, ...]:
     """Return the names of the intrinsics in the order of covariances and jacobians."""
-    lens = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", "s4", "tx", "ty")
+    lens = PROJECTIONS[camera.projection].coefficients
     return ("fx", "fy", "cx", "cy", *lens[: len(camera.distortion)])
 
 
@@ -87,11 +74,26 @@ def intrinsic_vector(camera: Camera) -> FloatArray:
     return np.concatenate([[m[0, 0], m[1, 1], m[0, 2], m[1, 2]], camera.distortion])
 
 
-def camera_from_vector(intrinsics: FloatArray, image_size: tuple[int, int]) -> Camera:
+def camera_from_vector(
+    intrinsics: FloatArray,
+    image_size: tuple[int, int],
+    projection: ProjectionName = "perspective",
+) -> Camera:
     """Return the camera of intrinsics in the order of `intrinsic_vector`, shape (4 + k,)."""
     fx, fy, cx, cy = (float(v) for v in intrinsics[:4])
     matrix = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
-    return Camera(matrix, np.array(intrinsics[4:], dtype=np.float64), image_size)
+    return Camera(matrix, np.array(intrinsics[4:], dtype=np.float64), image_size, projection)
+
+
+def with_intrinsics(camera: Camera, intrinsics: FloatArray) -> Camera:
+    """Return a camera with other intrinsics of the same lens model, shape (4 + k,)."""
+    return camera_from_vector(intrinsics, camera.image_size, camera.projection)
+
+
+def project_points(camera: Camera, points: FloatArray) -> Projected:
+    """Project points of the camera's frame, any unit, finite, shape (n, 3), with derivatives."""
+    model = PROJECTIONS[camera.projection]
+    return model.project(camera.matrix, camera.distortion, points)
 
 
 def project(camera: Camera, rays: FloatArray) -> FloatArray:
@@ -172,68 +174,38 @@ def normalise_jacobian(camera: Camera, pixels: FloatArray) -> Normalised:
     good = np.isfinite(xy).all(axis=-1)
     if good.any():
         projection = _project(camera, xy[good])
-        by_pixel[good] = np.linalg.inv(projection.by_xy)
+        by_pixel[good] = np.linalg.inv(projection.by_point[..., :2])
         by_intrinsics[good] = -by_pixel[good] @ projection.by_intrinsics
     return Normalised(xy, by_pixel, by_intrinsics)
 
 
 def radius_limit(camera: Camera) -> float:
-    """Return the undistorted radius up to which the radial model is one to one, inf if everywhere.
-
-    The distorted radius r N(r^2) / D(r^2) grows until its derivative or D first vanishes.
-    """
-    numerator, denominator = _radial(camera)
-    s = Polynomial([0.0, 1.0])
-    growth = (numerator + 2 * s * numerator.deriv()) * denominator - (
-        2 * s * numerator * denominator.deriv()
-    )
-    # A leading coefficient of exactly 0 would make the companion matrix infinite.
-    roots = np.concatenate([p.trim().roots() for p in (growth, denominator)])
-    real = roots.real[(np.abs(roots.imag) < 1e-9 * (1 + np.abs(roots))) & (roots.real > 0)]
-    return float(np.sqrt(real.min())) if real.size else float("inf")
+    """Return the tangent off the axis up to which the lens is one to one, inf if everywhere."""
+    return PROJECTIONS[camera.projection].limit(camera.distortion)
 
 
-def _radial(camera: Camera) -> tuple[Polynomial, Polynomial]:
-    """Return N and D of the radial factor as polynomials in the squared radius."""
-    k = np.zeros(8)
-    head = camera.distortion[:8]
-    k[: len(head)] = head
-    return Polynomial([1, k[0], k[1], k[4]]), Polynomial([1, k[5], k[6], k[7]])
-
-
-def _project(camera: Camera, xy: FloatArray) -> _Projection:
-    """Project finite normalised coordinates, shape (n, 2), with derivatives."""
-    # Here, as reading a dataset needs `Camera` but not the 0.2 s of this import.
-    import cv2
-
-    points = np.concatenate([xy, np.ones((len(xy), 1))], axis=-1)
-    lens = camera.distortion if len(camera.distortion) else None
-    pixels, jacobian = cv2.projectPoints(points, np.zeros(3), np.zeros(3), camera.matrix, lens)
-    # Columns: rotation 0-2, translation 3-5, fx fy cx cy 6-9, distortion. The points stand at
-    # z = 1, so the translation moves x and y themselves.
-    by_all = jacobian.reshape(len(xy), 2, -1)
-    return _Projection(
-        pixels.reshape(-1, 2), by_all[:, :, 3:5], by_all[:, :, 6 : 10 + len(camera.distortion)]
-    )
+def _project(camera: Camera, xy: FloatArray) -> Projected:
+    """Project finite normalised coordinates, shape (n, 2), which stand at z = 1."""
+    return project_points(camera, np.concatenate([xy, np.ones((len(xy), 1))], axis=-1))
 
 
 def _invert(camera: Camera, pixels: FloatArray, *, strict: bool) -> FloatArray:
     """Return the rays of finite pixels, shape (n, 2); where there is none raise or return NaN."""
     limit = radius_limit(camera)
-    xy = _radial_inverse(camera, pixels, min(limit, RADIUS_MAX))
+    xy = _radial_inverse(camera, pixels, limit)
     with np.errstate(all="ignore"):  # a pixel without a ray may run off; it is judged below
         for _ in range(_NEWTON_STEPS):
             projection = _project(camera, xy)
             error = projection.pixels - pixels
             if np.all(np.abs(error) < _NEWTON_DONE_PX):
                 break
-            xy = xy - _solve(projection.by_xy, error)
+            xy = xy - _solve(projection.by_point[..., :2], error)
         projection = _project(camera, xy)
         error = np.hypot(*(projection.pixels - pixels).T)
-        unfolded = (np.linalg.det(projection.by_xy) > 0) & (np.hypot(*xy.T) < limit)
+        unfolded = (np.linalg.det(projection.by_point[..., :2]) > 0) & (np.hypot(*xy.T) < limit)
     good = (error < REPROJECTION_TOLERANCE_PX) & unfolded
     if strict and not good.all():
-        raise EstimationError(_folded(pixels, good, limit))
+        raise EstimationError(_folded(camera, pixels, good, limit))
     return np.where(good[:, None], xy, np.nan)
 
 
@@ -242,13 +214,8 @@ def _radial_inverse(camera: Camera, pixels: FloatArray, limit: float) -> FloatAr
     m = camera.matrix
     distorted = (pixels - m[:2, 2]) / m[[0, 1], [0, 1]]
     radius = np.hypot(*distorted.T)
-    numerator, denominator = _radial(camera)
-    low, high = np.zeros_like(radius), np.full_like(radius, limit)
-    for _ in range(_BISECTIONS):
-        middle = (low + high) / 2
-        short = middle * numerator(middle**2) < radius * denominator(middle**2)
-        low, high = np.where(short, middle, low), np.where(short, high, middle)
-    factor = np.divide(low, radius, out=np.ones_like(radius), where=radius > 0)
+    found = PROJECTIONS[camera.projection].tangent(camera.distortion, radius, limit)
+    factor = np.divide(found, radius, out=np.ones_like(radius), where=radius > 0)
     xy: FloatArray = distorted * factor[:, None]
     return xy
 
@@ -262,14 +229,17 @@ def _solve(matrix: FloatArray, vector: FloatArray) -> FloatArray:
     return solution
 
 
-def _folded(pixels: FloatArray, good: BoolArray, limit: float) -> str:
+def _folded(camera: Camera, pixels: FloatArray, good: BoolArray, limit: float) -> str:
     """Return the message about pixels that no ray reaches."""
     u, v = pixels[~good][0]
     count = int((~good).sum())
     more = f" and {count - 1} more" if count > 1 else ""
     reach = "" if np.isinf(limit) else f" {np.degrees(np.arctan(limit)):.1f} deg off the axis"
+    why = f"the lens model folds back{reach}"
+    if np.isinf(limit) and camera.projection == "equidistant":
+        why = "it looks 90 deg or more off the axis"
     return (
-        f"no ray belongs to pixel ({u:.2f}, {v:.2f}){more}: the lens model folds back{reach}; "
+        f"no ray belongs to pixel ({u:.2f}, {v:.2f}){more}: {why}; "
         "check the intrinsics, or calibrate them with board images that reach that part of "
         "the imager"
     )

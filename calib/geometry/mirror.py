@@ -9,12 +9,14 @@ twice, everything is as it was. Lengths in mm, angles in rad.
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
 
 from calib.core.arrays import FloatArray
 from calib.geometry.camera import Camera, intrinsic_names
+from calib.geometry.lens import PROJECTIONS
 from calib.geometry.parameters import (
     INDEX,
     PARAMETERS,
@@ -34,7 +36,8 @@ POINT: Final = (-1.0, 1.0, 1.0)
 OBSERVABLE_SIGN: Final = (-1.0, 1.0, -1.0, -1.0, 1.0)
 """Signs of errors of x1c, y1c, alpha2, gaze residual and z, in the order of `OBSERVABLE`."""
 
-_ODD_INTRINSICS = ("cx", "p2", "s1", "s2", "ty")
+_ODD_INTRINSICS = frozenset[str]().union(*(model.odd for model in PROJECTIONS.values()))
+"""No model has an even coefficient of the name of another's odd one."""
 _ODD_SHARED = ("r12.y", "r12.z", "t12.x")
 _SHORT_DEG, _SHORT_COTANGENT = 10, 12
 _ROUNDING_RAD = 1e-15
@@ -79,18 +82,22 @@ def mirror_readings(alpha2: FloatArray) -> FloatArray:
     """Return readings, rad, shape (n,), in the mirror: pi less each.
 
     A reading that is a short decimal in degrees, or whose cotangent is one, becomes the nearest
-    double of the mirrored decimal, as a table would have it. Chains of random numbers tell the
+    double of the mirrored decimal, as a table would have it; a few of the one kind are, to the last
+    bit, long decimals of the other: the shorter counts. Chains of random numbers tell the
     difference, which is of the last bit.
     """
     plain = np.pi - alpha2
     mirrored = plain.copy()
-    in_degrees = np.deg2rad(np.round(180.0 - np.rad2deg(alpha2), _SHORT_DEG))
+    degrees = 180.0 - np.rad2deg(alpha2)
     with np.errstate(divide="ignore", invalid="ignore"):
-        cotangent = np.round(1 / np.tan(alpha2), _SHORT_COTANGENT)
-    by_cotangent = np.arctan2(1.0, -cotangent)
-    for short in (by_cotangent, in_degrees):
-        near = np.abs(short - plain) < _ROUNDING_RAD
-        mirrored[near] = short[near]
+        cotangent = -1 / np.tan(alpha2)
+    for digits in range(_SHORT_COTANGENT, -1, -1):
+        forms = [np.arctan2(1.0, np.round(cotangent, digits))]
+        if digits <= _SHORT_DEG:
+            forms.append(np.deg2rad(np.round(degrees, digits)))
+        for short in forms:
+            near = np.abs(short - plain) < _ROUNDING_RAD
+            mirrored[near] = short[near]
     return mirrored
 
 
@@ -99,7 +106,7 @@ def mirror_camera(camera: Camera) -> Camera:
     matrix = camera.matrix.copy()
     matrix[0, 2] = camera.image_size[0] - 1 - matrix[0, 2]
     lens = np.array([-1.0 if name in _ODD_INTRINSICS else 1.0 for name in intrinsic_names(camera)])
-    return Camera(matrix, signed(camera.distortion, lens[4:]), camera.image_size)
+    return replace(camera, matrix=matrix, distortion=signed(camera.distortion, lens[4:]))
 
 
 def signed(values: FloatArray, sign: FloatArray | float) -> FloatArray:

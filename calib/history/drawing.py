@@ -14,7 +14,9 @@ from textwrap import wrap
 import numpy as np
 
 from calib.core.arrays import BoolArray, FloatArray
-from calib.history.charts import (
+from calib.history.quantities import Series
+from calib.results.wording import printable
+from calib.uncertainty.charts import (
     CUSUM_LIMIT,
     EWMA_LIMIT,
     SHEWHART_LIMIT,
@@ -22,8 +24,6 @@ from calib.history.charts import (
     charts,
     reference,
 )
-from calib.history.quantities import Series
-from calib.results.wording import printable
 
 BLACK, GREY, PALE, BLUE, VERMILLION = "#1b1b1b", "#6b6b6b", "#e6e6e6", "#0072B2", "#D55E00"
 

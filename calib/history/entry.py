@@ -28,6 +28,7 @@ from calib.core.arrays import FloatArray
 from calib.core.errors import InputError
 from calib.core.limited import read_limited
 from calib.core.seal import is_edited
+from calib.core.unit_diagonal import unit_diagonal
 from calib.geometry.parameters import INDEX
 from calib.instrument.calibration_file import FILE_LIMIT_BYTES
 from calib.stages.manifest import AGAIN, Listing, refuse_broken
@@ -230,10 +231,9 @@ def _refuse_impossible(m: _Measurement, covariance: FloatArray) -> None:
     """Raise if no rig can have such a calibration: its charts would show no number, or a lie."""
     if len(set(m.names)) < len(m.names) or "baseline_mm" not in m.names:
         raise ValueError("measurement.names: baseline_mm and others, each once, are needed")
-    scale = np.sqrt(np.abs(np.diagonal(covariance)))
     if not np.all(np.diagonal(covariance) > 0):
         raise ValueError("measurement.covariance: a variance is not above 0")
-    correlation = covariance / np.outer(scale, scale)
+    correlation = unit_diagonal(covariance)[1]
     if not np.abs(correlation - correlation.T).max() <= ROUNDING:
         raise ValueError("measurement.covariance: is not symmetric")
     if np.linalg.eigvalsh(correlation)[0] < -ROUNDING:

@@ -10,7 +10,6 @@ from pathlib import Path
 
 from calib.core.errors import CalibError, InputError
 from calib.core.words import counted
-from calib.history.charts import charts, reference
 from calib.history.drawing import chart_rows, legend
 from calib.history.drift import drifts
 from calib.history.entry import Entry
@@ -28,6 +27,7 @@ from calib.report.plain_page import (
     State,
     plain_page,
 )
+from calib.uncertainty.charts import charts, reference
 
 GENERATOR = "calib history page"
 

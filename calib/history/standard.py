@@ -16,11 +16,11 @@ import numpy as np
 
 from calib.core.arrays import BoolArray, FloatArray
 from calib.history.certified import Depth, Length, Standard
-from calib.history.charts import Chart, charts, reference
 from calib.history.quantities import Series
 from calib.history.sessions import Session, read_sessions
 from calib.instrument.calibration_file import Measuring
 from calib.instrument.measuring import Measured
+from calib.uncertainty.charts import Chart, charts, reference
 
 COVERAGE = 1.96
 """Of the 95 % intervals that a deviation from the certificate is held against."""

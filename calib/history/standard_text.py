@@ -10,10 +10,10 @@ from scipy.special import chdtrc, ndtri
 
 from calib.core.arrays import BoolArray
 from calib.history.causes import likely_causes
-from calib.history.charts import RUN_LENGTH, Chart
 from calib.history.drawing import chart_rows, legend
 from calib.history.standard import Checked, chart_all, degrees_of_freedom, lasting
 from calib.report.plain_page import Block, Cell, Drawing, Paragraph, PlainTable, State, plain_page
+from calib.uncertainty.charts import RUN_LENGTH, Chart
 
 GENERATOR = "calib history check"
 

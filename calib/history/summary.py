@@ -9,10 +9,10 @@ import numpy as np
 
 from calib.core.errors import InputError
 from calib.core.words import counted
-from calib.history.charts import UNCERTAINTY_RISK, charts, reference, scatter_test
 from calib.history.due import LONGEST, Due, next_due
 from calib.history.entry import Entry
 from calib.history.quantities import Series, series
+from calib.uncertainty.charts import UNCERTAINTY_RISK, charts, reference, scatter_test
 
 ACCEPTED = 3
 """Calibrations at acceptance: their weighted mean is the reference. With fewer its error hides

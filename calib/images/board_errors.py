@@ -21,6 +21,7 @@ import numpy as np
 from scipy.optimize import nnls
 
 from calib.core.arrays import FloatArray, IntArray
+from calib.core.unit_diagonal import unit_diagonal
 from calib.images.disagreement import whitener
 
 SMOOTH_SPACINGS = 2.0
@@ -169,10 +170,7 @@ def _components(
         found[j] = scores @ kinds[j - 1] @ scores
         for k, two in enumerate(products, start=1):
             matrix[j, k] = np.sum(one * two.T)
-    scale = np.sqrt(np.diag(matrix))
-    good = scale > 0
-    scale = np.where(good, scale, 1.0)
-    scaled = matrix / np.outer(scale, scale)
+    scale, scaled = unit_diagonal(matrix)
     variances = np.zeros(size)
     kept = np.arange(size)
     while len(kept):

@@ -1,4 +1,4 @@
-"""Bundle adjustment: projections of board corners with derivatives, and a damped Newton method.
+"""Bundle adjustment: normal equations of blocks, and a damped Newton method.
 
 The problem is given as blocks of whitened residuals (one image, one prior), each with the columns
 of its jacobian; the normal equations are summed up block by block.
@@ -9,12 +9,11 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 
 from calib.core.arrays import BoolArray, FloatArray, IntArray
 from calib.core.errors import EstimationError
-from calib.geometry.camera import Camera
+from calib.core.unit_diagonal import Spectrum
 
 MAX_STEPS = 100
 """Newton steps, damped ones included; from a start by single views some ten suffice."""
@@ -26,14 +25,6 @@ _POLISHING_STEPS = 4
 _LEAST_DAMPING = 1e-12
 _FIRST_DAMPING = 1e-4
 _MAX_DAMPING = 1e12
-
-
-class Projection(NamedTuple):
-    """Pixels, shape (n, 2), and their derivatives by points, (n, 2, 3), and intrinsics."""
-
-    pixels: FloatArray
-    by_point: FloatArray
-    by_intrinsics: FloatArray
 
 
 class Block(NamedTuple):
@@ -57,23 +48,6 @@ class Minimum(NamedTuple):
 
     x: FloatArray
     normal: Normal
-
-
-def project_points(camera: Camera, points: FloatArray) -> Projection:
-    """Project points of the camera's frame, mm, shape (n, 3), with derivatives.
-
-    Intrinsics are in the order fx, fy, cx, cy, distortion.
-    """
-    count = len(camera.distortion)
-    if not len(points):
-        return Projection(np.empty((0, 2)), np.empty((0, 2, 3)), np.empty((0, 2, 4 + count)))
-    still = np.zeros(3)
-    pixels, jacobian = cv2.projectPoints(
-        points, still, still, camera.matrix, camera.distortion if count else None
-    )
-    # Columns: rotation, translation (as good as the point itself), fx fy cx cy, distortion.
-    by_all = jacobian.reshape(len(points), 2, -1)
-    return Projection(pixels.reshape(-1, 2), by_all[..., 3:6], by_all[..., 6 : 10 + count])
 
 
 def deformed(points: FloatArray, warp_mm: tuple[float, float] | None) -> FloatArray:
@@ -170,15 +144,12 @@ def inverse(matrix: FloatArray) -> FloatArray:
     EstimationError
         If it is singular: the images leave some unknown open.
     """
-    scale = np.sqrt(np.diag(matrix))
-    if not np.all(scale > 0):
+    if not np.all(np.diagonal(matrix) > 0):
         raise EstimationError("bundle adjustment: an unknown does not show in any image")
-    scaled = matrix / np.outer(scale, scale)
-    value = np.linalg.eigvalsh(scaled)
-    if value[0] < len(scaled) * np.finfo(float).eps * value[-1]:
+    spectrum = Spectrum.of(matrix)
+    if spectrum.span < len(matrix) * np.finfo(float).eps:
         raise EstimationError("bundle adjustment: the images leave some unknown open")
-    result: FloatArray = np.linalg.inv(scaled) / np.outer(scale, scale)
-    return result
+    return spectrum.inverse()
 
 
 def dispersion(clusters: Sequence[Sequence[Block]], spread: FloatArray, columns: IntArray) -> float:

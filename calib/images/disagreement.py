@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from calib.core.arrays import FloatArray, IntArray
+from calib.core.unit_diagonal import Spectrum
 from calib.images.bundle import proven
 from calib.images.repeats import summed
 
@@ -59,9 +60,4 @@ def view_factor(
 
 def whitener(matrix: FloatArray) -> FloatArray:
     """Return W, shape (n, k), W W' the inverse of a normal matrix but for open directions."""
-    scale = np.sqrt(np.diag(matrix))
-    scale = np.where(scale > 0, scale, 1.0)
-    value, vector = np.linalg.eigh(matrix / np.outer(scale, scale))
-    shown = value > OPEN * value[-1]
-    root: FloatArray = vector[:, shown] / np.sqrt(value[shown]) / scale[:, None]
-    return root
+    return Spectrum.of(matrix).inverse_root(least=OPEN)

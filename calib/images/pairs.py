@@ -15,11 +15,12 @@ import numpy as np
 from calib.core.arrays import BoolArray, FloatArray, IntArray
 from calib.core.errors import EstimationError
 from calib.geometry.board import Board, Corners
-from calib.geometry.camera import Camera
+from calib.geometry.camera import Camera, project_points
 from calib.geometry.poses import pose_matrix, pose_vector, transform
-from calib.images.bundle import finite, project_points
+from calib.images.bundle import finite
 from calib.images.checks import require_board
 from calib.images.mrcal.solves import MIN_CORNERS
+from calib.images.wide_view import wide_view_pose
 
 MIN_PAIRS = 3
 """Pairs needed: the poses of two could agree by chance, that of a third checks them."""
@@ -82,9 +83,12 @@ def single_view_pose(
     """
     seen = finite(pixels)
     points = points[seen]
-    lens = camera.distortion if len(camera.distortion) else None
-    _, turn, shift = cv2.solvePnP(points, pixels[seen], camera.matrix, lens)
-    pose = np.concatenate([turn.ravel(), shift.ravel()])
+    if camera.projection == "perspective":
+        lens = camera.distortion if len(camera.distortion) else None
+        _, turn, shift = cv2.solvePnP(points, pixels[seen], camera.matrix, lens)
+        pose = np.concatenate([turn.ravel(), shift.ravel()])
+    else:
+        pose = wide_view_pose(camera, points=points, pixels=pixels[seen])
     residuals = project_points(camera, transform(pose, points)).pixels - pixels[seen]
     return pose, float(np.sqrt(np.mean(residuals**2)))
 

@@ -10,6 +10,7 @@ from scipy.stats import chi2
 
 from calib.core.arrays import FloatArray
 from calib.core.errors import UsageError
+from calib.core.unit_diagonal import Spectrum, unit_diagonal
 from calib.fit.robust import identified_by
 from calib.fit.start import some_rows
 from calib.geometry.misclosure import misclosure
@@ -156,34 +157,24 @@ def agreement(
         covariance += np.where(together, np.outer(common, common), 0.0)
     covariance *= noise_factor**2
     slope = found.by_theta[:, [INDEX[name] for name in record.names]]
-    root = slope @ _root(record.covariance)
-    covariance += root @ root.T
+    covariance += slope @ record.covariance @ slope.T
     if kept.shared_names:
         loading = np.einsum("nq,nqk->nk", by, kept.shared)
         covariance += loading @ loading.T
     if kept.shared_names and shared.names:
-        cross = root @ _correlation(record, shared) @ loading.T
+        cross = slope @ _with_shared(record, shared) @ loading.T
         covariance += cross + cross.T
-    unit = np.sqrt(np.diag(covariance))
-    pulls = found.value / unit
-    statistic = float(pulls @ np.linalg.solve(covariance / np.outer(unit, unit), pulls))
+    std, correlation = unit_diagonal(covariance)
+    pulls = found.value / std
+    statistic = float(pulls @ np.linalg.solve(correlation, pulls))
     return Agreement(statistic, len(kept), float(chi2.sf(statistic, len(kept))))
 
 
-def _root(covariance: FloatArray) -> FloatArray:
-    """Return R of a covariance R R', columns with next to no share left out, shape (p, k)."""
-    unit = np.sqrt(np.diag(covariance))
-    value, vector = np.linalg.eigh(covariance / np.outer(unit, unit))
-    some = value > RANK * value[-1]
-    root: FloatArray = unit[:, None] * vector[:, some] * np.sqrt(value[some])
-    return root
+def _with_shared(record: AdjustedModel, shared: Shared) -> FloatArray:
+    """Return the covariance of the parameters with the errors that rows share, shape (p, k).
 
-
-def _correlation(record: AdjustedModel, shared: Shared) -> FloatArray:
-    """Return how independent errors of the parameters go with those that rows share, (p, k).
-
-    Errors of the parameters are `_root` of their covariance times the former. No singular value is
-    above 1: factors by which views contradict each other are not the same in both estimates.
+    None is correlated by more than 1: factors by which views contradict each other are not the same
+    in both estimates.
     """
     known = {
         **dict(zip(record.lens_names, record.with_lens.T, strict=True)),
@@ -193,11 +184,11 @@ def _correlation(record: AdjustedModel, shared: Shared) -> FloatArray:
     with_shared = np.stack([known.get(name, nothing) for name in shared.names], axis=1)
     unit = np.linalg.norm(shared.factor, axis=1)
     by_error = with_shared / unit @ np.linalg.pinv(shared.factor / unit[:, None], rcond=OPEN).T
-    own = np.sqrt(np.diag(record.covariance))
-    whitener = np.linalg.pinv(_root(record.covariance) / own[:, None], rcond=OPEN)
-    u, size, vt = np.linalg.svd(whitener @ (by_error / own[:, None]), full_matrices=False)
-    correlation: FloatArray = (u * np.minimum(size, 1.0)) @ vt
-    return correlation
+    own = Spectrum.of(record.covariance)
+    correlation = own.inverse_root(RANK).T @ by_error
+    u, size, vt = np.linalg.svd(correlation, full_matrices=False)
+    found: FloatArray = own.root(RANK) @ (u * np.minimum(size, 1.0)) @ vt
+    return found
 
 
 OPEN = 1e-6

@@ -246,7 +246,9 @@ def _spread(spread: SpreadPart) -> Spread:
 
 
 def _camera(camera: CameraMatrix) -> Camera:
-    return Camera(np.array(camera.matrix), np.array(camera.distortion), camera.image_size)
+    lens = np.array(camera.distortion)
+    projection = camera.projection or "perspective"
+    return Camera(np.array(camera.matrix), lens, camera.image_size, projection)
 
 
 def _errors(m: ByOneModel, of_readings: tuple[str, ...]) -> SharedErrors | None:

@@ -19,6 +19,7 @@ from calib.rows.from_table import (
 from calib.uncertainty.measurement import (
     with_standoff,
 )
+from calib.uncertainty.montecarlo import NORMAL_FACTOR
 from calib.uncertainty.predictive import (
     DepthPrediction,
     predict_depths,
@@ -158,7 +159,7 @@ def normalised_error(p: DepthPrediction, reference: ReferenceAgreement) -> Float
     """
     half = (p.high95_mm - p.low95_mm) / 2
     difference = np.abs(reference.error_rel * reference.reference_mm)
-    score: FloatArray = difference / np.hypot(half, 2 * reference.std_mm)
+    score: FloatArray = difference / np.hypot(half, NORMAL_FACTOR * reference.std_mm)
     return score
 
 

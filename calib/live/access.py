@@ -50,7 +50,10 @@ class Access:
         Another site's name that was made to point here (DNS rebinding) does not; an address that
         is written as a number is no name, and cannot be made to.
         """
-        name = (urlsplit(f"//{header}").hostname or "").lower()
+        try:
+            name = (urlsplit(f"//{header}").hostname or "").lower()
+        except ValueError:  # no address at all, such as "["
+            return False
         if self.is_local:
             return name in (*LOOPBACK_NAMES, self.host.lower())
         return _is_number(name) or name in _own_names(self.host)

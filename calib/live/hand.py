@@ -39,5 +39,9 @@ class PageHand:
                 return depth, None
             self._record.tell(f"{text!r} is no depth: a number of millimetres, above 0", bad=True)
 
+    def place_again(self, name: str, *, of: str) -> None:
+        """Ask for a target that stood there before and wait until it is there."""
+        self._asked(f"{name}: put the target of {of} back where it stood then, at rest", "ready")
+
     def _asked(self, text: str, kind: str) -> str:
         return self._record.ask(text, kind, refuse=self._refuse)

@@ -12,7 +12,8 @@ from typing import Any, Final
 import numpy as np
 
 from calib.capture.description import describe, read_manifest, refuse_other
-from calib.capture.ready import lens_c2, reading_uncertainty
+from calib.capture.ready import lens_c2, reading_uncertainty, return_uncertainty
+from calib.capture.references import ByHand, source_of
 from calib.capture.rows import Capture as CaptureSettings
 from calib.capture.rows import capture_rows
 from calib.capture.writer import GrowingFolder, growing
@@ -55,6 +56,9 @@ RUN_FILES: Final = {
 }
 """Files of a run that a page may have, with their titles."""
 
+KINDS: Final = {"intrinsics": "lenses", "stereo": "pairs", "sweep": "sweep"}
+"""Guided pictures as the page's list of them has it."""
+
 DONE, GATE_FAILED_STATUS = 0, 3
 
 
@@ -74,6 +78,12 @@ class _StoppableHand:
     def depth_mm(self, name: str) -> tuple[float, float | None] | None:
         """Return its depth."""
         return self._hand.depth_mm(name)
+
+    def place_again(self, name: str, *, of: str) -> None:
+        """Put a target up again."""
+        if self._bench.axis.is_stopped:
+            raise Stopped("stopped")
+        self._hand.place_again(name, of=of)
 
 
 def run(bench: Bench, job: Job) -> None:
@@ -97,7 +107,8 @@ def run(bench: Bench, job: Job) -> None:
 
 def title(job: Job) -> str:
     """Return a job's name as pages show it."""
-    return type(job).__name__
+    name = type(job).__name__
+    return f"{name}: {KINDS[job.kind]}" if isinstance(job, Pictures) else name
 
 
 def look_around(bench: Bench) -> None:
@@ -136,14 +147,21 @@ def _capture(bench: Bench, job: Capture) -> None:
         manifest = read_manifest(folder)
         if manifest is not None:
             refuse_other(manifest, known)
+        if source_of(manifest, job.kind, None) != "hand":
+            raise UsageError(
+                f"the rows of [{job.kind}] have their depths by pictures; go on with "
+                "`calib capture`"
+            )
+        hand = _StoppableHand(bench, bench.hand(job.target))
         capture = CaptureSettings(
             gazer=bench.gazer(at, lens_c2(known, manifest, folder)),
-            hand=_StoppableHand(bench, bench.hand(job.target)),
+            hand=hand,
+            reference=ByHand(hand, U_Z_MM),
             folder=folder,
             known=known,
             kind=job.kind,
-            u_z_mm=U_Z_MM,
             announce=lambda text: _captured(bench, text, job),
+            u_return_rad=return_uncertainty(bench.rig, bench.places.rig_file),
         )
         _captured(bench, "", job)
         ended = capture_rows(capture, count=job.count)

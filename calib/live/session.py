@@ -5,19 +5,24 @@ from __future__ import annotations
 import math
 import sys
 import threading
+import traceback
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
+
 from calib.core.errors import CalibError, UsageError
 from calib.gaze import length as lengths
+from calib.gaze.picking import target_near
 from calib.gaze.table import header
 from calib.gaze.target import Target
 from calib.live import jobs
 from calib.live.bench import Bench, Places, with_axis
-from calib.live.commands import DRIVING, Answer, Capture, Gaze, Job, Length, Mark
+from calib.live.commands import DRIVING, REPEATABLE, Answer, Capture, Gaze, Job, Length, Mark, Pick
 from calib.live.guarded import GuardedAxis, Stopped
 from calib.live.record import Record
 from calib.live.scene import heading
@@ -78,7 +83,7 @@ class Session:
         self._opened = threading.Event()
         self._failed: BaseException | None = None
         self._bench: Bench | None = None
-        self._mark: Target | None = None
+        self._marked: tuple[Target, ...] = ()
         self._thread = threading.Thread(target=self._run, name="rig", daemon=True)
         self.record = Record()
         self.streams: dict[str, Stream] = {}
@@ -93,7 +98,7 @@ class Session:
 
     def __exit__(self, *_: object) -> None:
         """Stop, and close the devices."""
-        self.stop()
+        self._try_to_stop()
         with self._wake:
             self._closing = True
             self._wake.notify_all()
@@ -110,12 +115,17 @@ class Session:
         Raises
         ------
         UsageError
-            If too many wait already, or its target is none.
+            If too many wait already, its target is none, the same is at work or waits (a click
+            that was doubled), or the rig was closed.
         """
         for name in _targets(job):
             if self._bench is not None:
                 self._bench.target(name)
         with self._wake:
+            if not self._thread.is_alive():
+                raise UsageError("the rig was closed; start the page anew")
+            if job in (self._job, *self._waiting) and not isinstance(job, REPEATABLE):
+                raise UsageError(f"{jobs.title(job)} is at work or waits already")
             if len(self._waiting) >= WAITING_MAX:
                 raise UsageError(f"{WAITING_MAX} jobs wait already")
             self._waiting.append(job)
@@ -129,19 +139,45 @@ class Session:
     def mark(self, mark: Mark) -> None:
         """Mark another target in the pictures; raises `UsageError` if it is none."""
         if self._bench is not None:
-            self._mark = self._bench.target(mark.target)
+            self._marked = (self._bench.target(mark.target),)
             self.record.put(marked=mark.target)
+
+    def pick(self, pick: Pick) -> str:
+        """Return the name of the target at a place in a picture, and mark it.
+
+        Raises
+        ------
+        UsageError
+            If there is none.
+        """
+        bench = self._bench
+        if bench is None:
+            raise UsageError("the rig is not open yet")
+        frame = (bench.rig.c1 if pick.camera == "c1" else bench.rig.c2).latest()
+        lens = bench.lens(pick.camera)
+        place = np.array([pick.u, pick.v])
+        name = frame and target_near(frame.pixels, place, board=bench.board, lens=lens)
+        if not name:
+            raise UsageError(
+                "nothing there that can be gazed at: a corner of the board, a tag, a cross, a "
+                "disc, a plate's corner"
+            )
+        self.mark(Mark(do="mark", target=name))
+        return name
 
     def stop(self) -> None:
         """Stop the motor at once, end the job and forget those that wait."""
         with self._lock:
             self._waiting.clear()
             bench = self._bench
-        if bench is not None:
-            bench.axis.stop()
-        self.record.answer(None)
-        with self._lock:
-            self._publish_waiting()
+        try:
+            if bench is not None:
+                bench.axis.stop()
+        finally:
+            # An axis that does not answer is no reason to go on with the job.
+            self.record.answer(None)
+            with self._lock:
+                self._publish_waiting()
 
     def owner_left(self) -> None:
         """Stop if the motor is at work or soon would be: nobody watches it who could stop it."""
@@ -150,7 +186,14 @@ class Session:
             is_driving = any(isinstance(job, DRIVING) for job in busy)
         if is_driving:
             self.record.tell("the page that had the motor is gone: stopped", bad=True)
+            self._try_to_stop()
+
+    def _try_to_stop(self) -> None:
+        """Stop where nobody could be told but by the log."""
+        try:
             self.stop()
+        except (CalibError, OSError) as error:
+            self.record.tell(f"the axis does not obey: {error}", bad=True)
 
     def measurements_csv(self) -> str:
         """Return all positions as `calib gaze` writes them."""
@@ -195,9 +238,11 @@ class Session:
         )
         for role, camera in (("c1", rig.c1), ("c2", rig.c2)):
             centre = bench.centre_column if role == "c2" else lambda: None
-            self.streams[role] = Stream(camera, rig.clock, lambda: self._mark, centre)
+            self.streams[role] = Stream(
+                camera, rig.clock, lambda: self._marked, centre, partial(self._seen, role)
+            )
         if bench.board is not None:
-            self._mark = bench.target("board")
+            self._marked = (bench.target("board"),)
             self.record.put(marked="board")
         jobs.look_around(bench)
         self._first_calibration(bench)
@@ -225,6 +270,10 @@ class Session:
             except CalibError as error:
                 self.record.tell(str(error), bad=True)
 
+    def _seen(self, role: str, fault: str) -> None:
+        """Publish why a camera gives no picture; "" once it does."""
+        self.record.put(**{f"fault_{role}": fault})
+
     def _turned(self, reading_rad: float | None) -> None:
         """Publish where C2 stands; None while it turns."""
         if reading_rad is None:
@@ -246,6 +295,14 @@ class Session:
                 self.record.tell(f"{jobs.title(job)}: {error}", bad=not bench.axis.is_stopped)
             except (CalibError, OSError) as error:
                 self.record.tell(f"{jobs.title(job)}: {error}", bad=True)
+            except Exception as error:
+                self._try_to_stop()
+                traceback.print_exc()
+                self.record.tell(
+                    f"{jobs.title(job)}: a fault of the program, {type(error).__name__}: {error}; "
+                    "C2 was stopped. The terminal has the details",
+                    bad=True,
+                )
             finally:
                 self.record.put(turning=False)
                 with self._lock:
@@ -260,8 +317,8 @@ class Session:
                 return None
             self._job = self._waiting.popleft()
             self._bench.axis.allow()
-            for name in _targets(self._job)[:1]:
-                self._mark = self._bench.target(name)
+            if names := _targets(self._job):
+                self._marked = tuple(self._bench.target(name) for name in names)
             self.record.put(
                 job={"name": jobs.title(self._job), "step": "", "done": None, "of": None}
             )
@@ -273,7 +330,7 @@ class Session:
 
 
 def _targets(job: Job) -> tuple[str, ...]:
-    """Return the names of the targets of a job, the one to be marked first."""
+    """Return the names of the targets of a job."""
     if isinstance(job, Length):
         return job.start, job.end
     if isinstance(job, Capture | Gaze):

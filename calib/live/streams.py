@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import cv2
+import numpy as np
 
 from calib.core.errors import CalibError
 from calib.gaze.target import Target
@@ -47,6 +48,8 @@ class Shown:
         As the camera's driver puts it, by the rig's clock.
     target
         Where the target is, px; None if it is not seen.
+    marks
+        Points by which it was found, a board's corners, px.
     centre_px
         The camera's centre column, px; None to draw none.
     """
@@ -57,6 +60,7 @@ class Shown:
     size: tuple[int, int]
     exposed_ns: int
     target: tuple[float, float] | None
+    marks: list[list[float]]
     centre_px: float | None
 
 
@@ -69,30 +73,33 @@ class Stream:
         The device.
     clock
         The rig's.
-    target
-        Returns what is to be marked; None marks nothing.
+    targets
+        Returns what is to be marked; the first that is seen is the target.
     centre
         Returns the centre column, px; None draws none.
+    told
+        Told why the camera gives no picture, and "" once it gives one again.
     """
 
     def __init__(
         self,
         camera: Camera,
         clock: Clock,
-        target: Callable[[], Target | None],
+        targets: Callable[[], Sequence[Target]],
         centre: Callable[[], float | None],
+        told: Callable[[str], None],
     ) -> None:
         self._camera = camera
         self._clock = clock
-        self._target = target
+        self._targets = targets
         self._centre = centre
+        self._told = told
         self._asked = threading.Event()
         self._asked_at = 0.0
         self._closing = threading.Event()
         self._listeners: list[Callable[[], None]] = []
         self._thread = threading.Thread(target=self._run, name="stream", daemon=True)
         self.shown: Shown | None = None
-        self.fault = ""
 
     def start(self) -> None:
         """Begin."""
@@ -135,33 +142,41 @@ class Stream:
 
     def _next(self) -> bool:
         """Make the next picture; return whether it is another one."""
+        is_new, fault = False, ""
         try:
-            frame = self._camera.latest()
+            is_new = self._renew()
         except (CalibError, OSError) as error:
-            self.fault = str(error)
-            return False
-        before = self.shown
+            fault = str(error)
+        except Exception as error:
+            # The pictures go on where they can.
+            fault = f"a fault of the program, {type(error).__name__}: {error}"
+        self._told(fault)
+        if is_new:
+            for listener in self._listeners:
+                listener()
+        return is_new
+
+    def _renew(self) -> bool:
+        frame, before = self._camera.latest(), self.shown
         if frame is None or (before is not None and before.serial == frame.serial):
             return False
         self.shown = self._made(frame, 1 if before is None else before.number + 1)
-        for listener in self._listeners:
-            listener()
         return True
 
     def _made(self, frame: Frame, number: int) -> Shown:
-        target = self._target()
-        sighting = None if target is None else target.find(frame.pixels)
+        looked = (target.find(frame.pixels) for target in self._targets())
+        seen = [sighting for sighting in looked if sighting is not None]
         _, data = cv2.imencode(".jpg", frame.pixels, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
         height, width = frame.pixels.shape
-        found = None
-        if sighting is not None:
-            found = (float(sighting.pixel[0]), float(sighting.pixel[1]))
+        points = np.concatenate([np.empty((0, 2)), *(sighting.marks_px for sighting in seen)])
+        points = points[np.isfinite(points).all(axis=1)]
         return Shown(
             number=number,
             serial=frame.serial,
             jpeg=data.tobytes(),
             size=(width, height),
             exposed_ns=frame.exposed_ns,
-            target=found,
+            target=(float(seen[0].pixel[0]), float(seen[0].pixel[1])) if seen else None,
+            marks=points.round(1).tolist(),
             centre_px=self._centre(),
         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -93,6 +94,7 @@ def document(advice: Advice, start: Start) -> dict[str, Any]:
         "model": advice.model,
         "rows_so_far": len(start.points_mm),
         "notes": list(start.notes),
+        "failed_gates": [asdict(gate) for gate in start.failed_gates],
         "depths_mm": advice.depths_mm.tolist(),
         "u_rel_now": advice.before_rel.tolist(),
         "u_rel_random": advice.random_rel.tolist(),
@@ -129,7 +131,8 @@ def _targets(advice: Advice, targets: Targets) -> list[str]:
     lines = []
     for i, (x, y, z) in enumerate(targets.points_mm):
         angle = np.rad2deg(targets.alpha2_rad[i])
-        place = f"{i + 1:<4d}{x:8.0f}{y:8.0f}{z:8.0f}{targets.x1c[i]:9.3f}{angle:12.2f}"
+        # Python's z: a place a hair left of the axis is 0, not -0.
+        place = f"{i + 1:<4d}{x:z8.0f}{y:z8.0f}{z:8.0f}{targets.x1c[i]:z9.3f}{angle:12.2f}"
         lines.append(place + _figures(targets.u_rel[i], advice))
     return lines
 

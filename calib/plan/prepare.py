@@ -6,8 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib.checks.verdict import outliers_gate, residuals_gate
 from calib.core.arrays import FloatArray
 from calib.core.errors import EstimationError, UsageError
+from calib.core.gate import Gate, failed
 from calib.dataset.contents import Dataset
 from calib.dataset.manifest import DEFAULT_U_X1C
 from calib.fit.information import row_information
@@ -42,6 +44,8 @@ class Start:
         Targets of the rows so far, frame C1, shape (n, 3).
     notes
         What had to be assumed.
+    failed_gates
+        Of rows and pictures so far: the advice rests on what they say cannot be relied on.
     """
 
     knowledge: Knowledge
@@ -50,6 +54,7 @@ class Start:
     between_mm: tuple[float, float]
     points_mm: FloatArray
     notes: tuple[str, ...]
+    failed_gates: tuple[Gate, ...] = ()
 
 
 def prepare(
@@ -75,13 +80,14 @@ def prepare(
     defaults = {} if rows is None else scaled_defaults(rows)
     priors = Priors(defaults | row_priors(dataset), prior_knowledge.measured)
     settings, notes = _settings(dataset)
+    gates = prior_knowledge.failed_gates
     if rows is None:
         knowledge = _from_priors(MODELS[model], priors, prior_knowledge.baseline_mm)
         points = np.zeros((0, 3))
     else:
         learnt = model_for(model, off_centre=rows.off_centre, offset_open=priors.offset_open)
-        knowledge, more = _from_rows(learnt, priors, rows)
-        notes += more
+        knowledge, more, failing = _from_rows(learnt, priors, rows)
+        notes, gates = notes + more, gates + failing
         if rows.shared_names:
             notes += ("errors that all rows share, of intrinsics and stereo, come on top of u(z)",)
         points = rows.z_mm[:, None] * np.column_stack([rows.x1c, rows.y1c, np.ones(len(rows))])
@@ -93,6 +99,7 @@ def prepare(
         between_mm=targets_mm or _between(points[:, 2], asked_mm),
         points_mm=points,
         notes=notes + unseen,
+        failed_gates=gates,
     )
 
 
@@ -189,8 +196,8 @@ def _known(model: Model, priors: Priors) -> NormalKnowledge:
 
 def _from_rows(
     model: Model, priors: Priors, rows: Observations
-) -> tuple[Knowledge, tuple[str, ...]]:
-    """Return what rows, sweep and priors say together, and what had to be assumed."""
+) -> tuple[Knowledge, tuple[str, ...], tuple[Gate, ...]]:
+    """Return what rows, sweep and priors say together, what had to be assumed, what failed."""
     precision = _known(model, priors).precision
     reason = too_much(rows, model)
     try:
@@ -202,12 +209,13 @@ def _from_rows(
         theta = fit.theta
         if reason is None:
             information = _without_groups(row_information(rows, fit) + precision, fit.by_groups)
-            return Knowledge(model, theta, information, fit.noise_scale), ()
+            gates = failed((residuals_gate(fit), outliers_gate(fit)))
+            return Knowledge(model, theta, information, fit.noise_scale), (), gates
     # Too few rows to judge their noise: as stated, it will do to tell where more belong.
     before = Knowledge(model, theta, precision)
     slope = row_vectors(before, rows)
     note = f"too little for {model.name} yet ({reason}): uncertainties are taken as stated"
-    return Knowledge(model, theta, slope.T @ slope + precision), (note,)
+    return Knowledge(model, theta, slope.T @ slope + precision), (note,), ()
 
 
 def _without_groups(information: FloatArray, by_groups: FloatArray) -> FloatArray:

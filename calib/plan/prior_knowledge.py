@@ -6,7 +6,9 @@ import json
 from dataclasses import dataclass
 from pathlib import Path
 
+from calib.checks.verdict import all_gates
 from calib.core.errors import UsageError
+from calib.core.gate import Gate, failed
 from calib.dataset.contents import Dataset
 from calib.fit.priors import Measured
 from calib.rows.from_table import CameraSet, Setup, row_settings
@@ -30,12 +32,15 @@ class PriorKnowledge:
         What the yaw sweep measured; None without one.
     baseline_mm
         X of C2 in C1 by the stereo reference; None without one.
+    failed_gates
+        Of lenses, pairs and sweep.
     """
 
     rows: Observations | None
     cameras: CameraSet
     measured: Measured | None = None
     baseline_mm: float | None = None
+    failed_gates: tuple[Gate, ...] = ()
 
 
 def needs_images(dataset: Dataset) -> bool:
@@ -81,6 +86,7 @@ def from_images(dataset: Dataset, store: Store) -> PriorKnowledge:
             cameras=images.cameras,
             measured=images.measured(),
             baseline_mm=None if stereo is None else float(stereo.transform_12[0, 3]),
+            failed_gates=failed(all_gates(images.result(), None, {})),
         )
 
 

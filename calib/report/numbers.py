@@ -11,7 +11,15 @@ from calib.core.arrays import FloatArray
 from calib.fit.priors import NOISE_SCALE
 from calib.geometry.parameters import INDEX, PARAMETERS
 from calib.report.blocks import EMPTY, Cell, number
-from calib.uncertainty.format import SHOWN, fixed, interval, significant, with_uncertainty
+from calib.uncertainty.format import (
+    SHOWN,
+    at_place,
+    fixed,
+    interval,
+    significant,
+    upwards,
+    with_uncertainty,
+)
 
 MINUS = "−"
 
@@ -64,9 +72,31 @@ def plus_minus(value: float, u: float, *, factor: float = 1.0) -> str:
     return f"{signed(rounded.value)} ± {rounded.uncertainty}"
 
 
-def estimate(value: float, u: float, *, factor: float = 1.0) -> Cell:
+def with_sign(value: float) -> str:
+    """Return two significant digits of a deviation, with its sign also where that is a plus."""
+    return ("+" if value > 0 else "") + signed(significant(value, digits=2))
+
+
+def estimate(value: float, u: float, *, factor: float = 1.0, mark: str = "") -> Cell:
     """Return a cell with value and standard uncertainty."""
-    return number(plus_minus(value, u, factor=factor), factor * value)
+    return number(plus_minus(value, u, factor=factor), factor * value, mark=mark)
+
+
+def given(value: float, u: float) -> Cell:
+    """Return a cell with a number beside one of standard uncertainty `u`, to the same place.
+
+    What was given has digits enough for the difference of the two to be checked by hand.
+    """
+    if not (math.isfinite(value) and math.isfinite(u) and u > 0):
+        return decimals(value, 1)
+    return number(signed(at_place(value, uncertainty=u)), value)
+
+
+def rounded_up(bound: float) -> Cell:
+    """Return a cell with two significant digits of a bound, rounded up."""
+    if not (math.isfinite(bound) and bound > 0):
+        return digits(bound, 2)
+    return number(upwards(bound), bound)
 
 
 def bounds(low: float, high: float, u: float, *, factor: float = 1.0) -> Cell:

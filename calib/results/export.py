@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 from calib.core.arrays import FloatArray
 from calib.core.errors import UsageError
 from calib.geometry.camera import Camera, intrinsic_vector
+from calib.geometry.lens import PROJECTIONS, ProjectionName
 from calib.images.intrinsics.model_files import cameramodel_text, opencv_text
 from calib.instrument.calibration_file import Cameras
 
@@ -47,7 +48,7 @@ def mrcal(found: Cameras) -> dict[str, str]:
             back = np.linalg.inv(found.transform_12)
             pose[:3] = Rotation.from_matrix(back[:3, :3]).as_rotvec()
             pose[3:] = back[:3, 3] * _M
-        _lens(camera, name, (0, 4, 5, 8, 12), "mrcal")
+        _lens(camera, name, {"perspective": (0, 4, 5, 8, 12)}, "mrcal")
         files[f"{name}.cameramodel"] = cameramodel_text(camera, extrinsics=pose)
     return files
 
@@ -72,10 +73,11 @@ def ros(found: Cameras) -> dict[str, str]:
 
 def _camera_info(camera: Camera, name: str) -> str:
     """Return a camera as camera_calibration_parsers of ROS reads it."""
-    _lens(camera, name, (0, 4, 5, 8), "ROS")
+    lens = _lens(camera, name, {"perspective": (0, 4, 5, 8), "equidistant": (4,)}, "ROS")
     width, height = camera.image_size
-    rational = len(camera.distortion) == 8
-    lens = camera.distortion if rational else np.pad(camera.distortion, (0, 5))[:5]
+    model: str = "equidistant" if camera.projection == "equidistant" else "rational_polynomial"
+    if camera.projection == "perspective" and len(lens) < 8:
+        model, lens = "plumb_bob", np.pad(lens, (0, 5))[:5]
     projection = np.hstack([camera.matrix, np.zeros((3, 1))])
     return _yaml(
         {
@@ -83,7 +85,7 @@ def _camera_info(camera: Camera, name: str) -> str:
             "image_height": height,
             "camera_name": name,
             "camera_matrix": _matrix(camera.matrix),
-            "distortion_model": "rational_polynomial" if rational else "plumb_bob",
+            "distortion_model": model,
             "distortion_coefficients": _matrix(lens[None]),
             "rectification_matrix": _matrix(np.eye(3)),
             "projection_matrix": _matrix(projection),
@@ -95,17 +97,17 @@ def kalibr(found: Cameras) -> dict[str, str]:
     """Return a camchain: cam0 is C1, cam1 is C2."""
     chain: dict[str, object] = {}
     for name, camera in found.cameras.items():
-        radtan = _lens(camera, name, (0, 4, 5), "Kalibr")
-        if len(radtan) == 5 and radtan[4] != 0:
+        lens = _lens(camera, name, {"perspective": (0, 4, 5), "equidistant": (4,)}, "Kalibr")
+        if len(lens) == 5 and lens[4] != 0:
             raise UsageError(
-                f"--format kalibr: its radtan model has no k3, which is {radtan[4]:g} for {name}; "
+                f"--format kalibr: its radtan model has no k3, which is {lens[4]:g} for {name}; "
                 "export to another format, or calibrate with four coefficients"
             )
         section: dict[str, object] = {
             "camera_model": "pinhole",
             "intrinsics": _numbers(intrinsic_vector(camera)[:4]),
-            "distortion_model": "radtan",
-            "distortion_coeffs": _numbers(np.pad(radtan, (0, 4))[:4]),
+            "distortion_model": "radtan" if camera.projection == "perspective" else "equidistant",
+            "distortion_coeffs": _numbers(np.pad(lens, (0, 4))[:4]),
             "resolution": list(camera.image_size),
             "rostopic": f"/{name}/image_raw",
         }
@@ -128,10 +130,18 @@ def marked(text: str, comment: str) -> str:
     return f"{head}{line}{comment}\n{rest}"
 
 
-def _lens(camera: Camera, name: str, known: tuple[int, ...], tool: str) -> FloatArray:
-    """Return the distortion, if the tool knows a model with as many coefficients."""
+def _lens(
+    camera: Camera, name: str, known: Mapping[ProjectionName, tuple[int, ...]], tool: str
+) -> FloatArray:
+    """Return the distortion, if the tool knows the lens model with as many coefficients."""
     count = len(camera.distortion)
-    if count not in known:
+    if camera.projection not in known:
+        words = PROJECTIONS[camera.projection].words
+        raise UsageError(
+            f"--format {tool.lower()}: {tool} has no {words} lens model, which {name} has; export "
+            "to another format"
+        )
+    if count not in known[camera.projection]:
         raise UsageError(
             f"--format {tool.lower()}: {tool} has no lens model with the {count} of OpenCV's "
             f"coefficients that {name} has; export to another format"

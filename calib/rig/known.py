@@ -7,9 +7,8 @@ from __future__ import annotations
 
 from typing import Literal
 
-import numpy as np
-
 from calib.dataset.board_section import board_of
+from calib.dataset.lens_section import stated_camera
 from calib.geometry.board import Board
 from calib.geometry.camera import Camera
 from calib.rig.devices import RigDevices
@@ -28,8 +27,9 @@ def known_board(rig: RigDevices) -> Board | None:
 def known_lens(rig: RigDevices, role: Role) -> Camera | None:
     """Return a camera's lens as far as it is known beforehand; None if it is not."""
     section, device = getattr(rig.settings.cameras, role), getattr(rig, role)
-    if section.matrix is not None:
-        return Camera(np.array(section.matrix), np.array(section.distortion), device.image_size)
+    given = stated_camera(section, device.image_size)
+    if given is not None:
+        return given
     if rig.world is not None and section.driver == "virtual":
         lens: Camera = getattr(rig.world.rig, role)
         return lens

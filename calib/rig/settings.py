@@ -24,11 +24,13 @@ from calib.dataset.fields import (
     Pixels,
     StepDeg,
     refuse,
+    refuse_coefficients,
 )
 from calib.dataset.folder import decode
-from calib.dataset.manifest import DISTORTION_LENGTHS, Board
+from calib.dataset.manifest import Board
 from calib.dataset.messages import LISTED_PROBLEMS, shortened, shown, suggestion
 from calib.dataset.section import Section
+from calib.geometry.lens import ProjectionName
 from calib.rig.virtual.settings import VirtualSettings
 
 FILE: Final = "rig.toml"
@@ -47,22 +49,22 @@ class _Device(BaseModel):
 class CameraSection(_Device):
     """A camera. `matrix` and `distortion` are a lens known beforehand, to gaze before calibrating.
 
+    `projection` says of which lens model `distortion` is: "perspective" where it is left out.
     Without `image_size` the driver's own holds.
     """
 
     image_size: tuple[Pixels, Pixels] | None = None
     matrix: CameraMatrix | None = None
     distortion: tuple[Number, ...] = ()
+    projection: ProjectionName | None = None
 
     @model_validator(mode="after")
     def _check_lens(self) -> CameraSection:
         if self.distortion and self.matrix is None:
             refuse("distortion is given without matrix", "give both, or neither")
-        if len(self.distortion) not in DISTORTION_LENGTHS:
-            refuse(
-                f"distortion has {len(self.distortion)} coefficients",
-                f"OpenCV's models have {', '.join(map(str, DISTORTION_LENGTHS))}",
-            )
+        if self.projection is not None and self.matrix is None:
+            refuse("projection is given without matrix", "give both, or neither")
+        refuse_coefficients(self.projection, self.distortion)
         return self
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from calib.core.arrays import FloatArray
+from calib.core.unit_diagonal import Spectrum, unit_diagonal
 from calib.geometry.camera import Camera, intrinsic_names
 
 SOURCES = {
@@ -58,11 +59,9 @@ class Shared:
         if not len(kept):
             return cls()
         known = tuple(n for n, u in zip(names, uncertain, strict=True) if u)
-        unit = np.sqrt(np.diag(kept))
-        value, vector = np.linalg.eigh(kept / np.outer(unit, unit))
-        some = value > RANK * value[-1]
-        factor, first = _triangular(vector[:, some] * np.sqrt(value[some]))
-        return cls(known, unit[:, None] * factor, tuple(_source(known[i]) for i in first))
+        std, correlation = unit_diagonal(kept)
+        factor, first = _triangular(Spectrum.of(correlation).root(least=RANK))
+        return cls(known, std[:, None] * factor, tuple(_source(known[i]) for i in first))
 
     def of_camera(self, prefix: str, camera: Camera) -> FloatArray:
         """Return the factor's rows of a camera's intrinsics, shape (4 + k, common); 0 if known."""

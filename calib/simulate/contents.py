@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from calib.core.arrays import FloatArray
+from calib.dataset.lens_section import camera_section
 from calib.geometry.board import Board
-from calib.geometry.camera import Camera
 from calib.geometry.parameters import NAMES
 from calib.simulate.faults import FULL_STEP_COUNTS, size_of
 from calib.simulate.rig import Noise, Rig, c2_pose
@@ -195,15 +195,6 @@ def degree(angle: float) -> float:
 def degrees(angles: FloatArray) -> list[float]:
     """Return angles, rad, shape (n,), as `degree` does one."""
     return [degree(angle) for angle in angles.tolist()]
-
-
-def camera_section(camera: Camera) -> Section:
-    """Return given intrinsics as a manifest states them."""
-    return {
-        "image_size": list(camera.image_size),
-        "matrix": camera.matrix.tolist(),
-        "distortion": camera.distortion.tolist(),
-    }
 
 
 def _head(options: SimulationOptions, rig: Rig) -> Section:

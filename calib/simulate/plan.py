@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from calib.core.errors import UsageError
+from calib.dataset.lens_section import camera_section
 from calib.geometry.board import Board
 from calib.geometry.camera import project
 from calib.geometry.mirror import SIGN
@@ -19,7 +20,6 @@ from calib.simulate.contents import (
     Session,
     SimulationOptions,
     Table,
-    camera_section,
     degrees,
     finish,
     ids,

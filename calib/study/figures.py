@@ -13,6 +13,7 @@ from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from calib.geometry.parameters import INDEX, PARAMETERS
 from calib.study.conditions import GROUPS
 from calib.study.scores import LEVELS, Score
 
@@ -28,6 +29,31 @@ _STYLE: Any = {
     "svg.hashsalt": "calib",
     "svg.fonttype": "path",
 }
+
+
+ESTIMATORS = {
+    "linear": ("linear equations of the paper", MUTED),
+    "bilinear": ("weighted least squares, outliers kept", RED),
+    "robust": ("robust fit", BLUE),
+    "posterior": ("posterior mean", GREEN),
+}
+"""Estimators by their keys in the table, as a figure names and paints them."""
+
+
+def _name(subject: str) -> str:
+    """Return the symbol of a parameter, in matplotlib's mathematics; else the words themselves."""
+    if subject not in INDEX:
+        return "noise scale" if subject == "noise_scale" else subject
+    stem, _, index = PARAMETERS[INDEX[subject]].symbol.partition("_")
+    if not index and stem[-1].isdigit():
+        stem, index = stem[:-1], stem[-1]
+    return f"${stem}_{{{index}}}$" if index else f"${stem}$"
+
+
+def _legend(figure: Figure, axes: Axes) -> None:
+    """Explain marks and lines above the figure, where no point can hide the words."""
+    handles, labels = axes.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper center", ncols=min(len(labels), 4))
 
 
 def _rows(scores: Sequence[Score]) -> list[str]:
@@ -72,14 +98,23 @@ def coverage(scores: Sequence[Score], *, estimator: str = "selected") -> Figure 
             chosen = [s for s in depth if s.subject == f"depth {part}" and s.statistic == statistic]
             axes.axvline(level, color=colour, lw=0.7, ls=":")
             _points(axes, chosen, rows, colour=colour, shift=0.0)
-        _frame(axes, rows, f"coverage, depths {part} the range")
+            name = f"{100 * level:.0f} % intervals (dotted: as stated)"
+            axes.plot([], [], "o", ms=3, color=colour, label=name)
+        _frame(axes, rows, f"share of intervals that hold the true depth,\n{PARTS[part]}")
         axes.set_xlim(0.2, 1.02)
+    _legend(figure, panels[0])
     return figure
+
+
+PARTS = {"inside": "calibrated depths", "beyond": "depths beyond those calibrated"}
 
 
 def pulls(scores: Sequence[Score]) -> Figure | None:
     """Return the rms of identified parameters' pulls."""
-    return _spread(scores, "pull_rms", "rms pull of identified parameters (posterior)", 1.0)
+    label = (
+        "rms of (estimate − truth) / u, parameters identified by rows (line: 1, as it should be)"
+    )
+    return _spread(scores, "pull_rms", label, 1.0)
 
 
 def _spread(scores: Sequence[Score], statistic: str, label: str, ideal: float) -> Figure | None:
@@ -92,10 +127,10 @@ def _spread(scores: Sequence[Score], statistic: str, label: str, ideal: float) -
         shift = 0.6 * (k / max(len(subjects) - 1, 1) - 0.5)
         colour = (BLUE, RED, GREEN, "#CC79A7", "#E69F00", MUTED)[k % 6]
         _points(axes, [s for s in wanted if s.subject == subject], rows, colour=colour, shift=shift)
-        axes.plot([], [], "o", ms=3, color=colour, label=subject)
+        axes.plot([], [], "o", ms=3, color=colour, label=_name(subject))
     axes.axvline(ideal, color=INK, lw=0.7)
     _frame(axes, rows, label)
-    axes.legend(loc="best")
+    _legend(figure, axes)
     return figure
 
 
@@ -112,16 +147,18 @@ def efficiency(scores: Sequence[Score]) -> Figure | None:
         return None
     rows = _rows(wanted)
     figure, (axes,) = _figure(len(rows))
-    looks = (("linear", MUTED), ("bilinear", RED), ("robust", BLUE), ("posterior", GREEN))
-    for k, (estimator, colour) in enumerate(looks):
+    for k, (estimator, (words, colour)) in enumerate(ESTIMATORS.items()):
         chosen = [s for s in wanted if s.estimator == estimator]
         _points(axes, chosen, rows, colour=colour, shift=0.15 * (k - 1.5))
-        axes.plot([], [], "o", ms=3, color=colour, label=estimator)
+        axes.plot([], [], "o", ms=3, color=colour, label=words)
     axes.axvline(1.0, color=INK, lw=0.7)
-    _frame(axes, rows, "Cramér-Rao bound / mean square error of L_b")
+    label = (
+        "least variance possible (Cramér-Rao) / mean square error, of $L_{b}$ (line: 1, efficient)"
+    )
+    _frame(axes, rows, label)
     axes.set_xscale("log")
     axes.set_xlim(1e-3, 3.0)
-    axes.legend(loc="best")
+    _legend(figure, axes)
     return figure
 
 
@@ -148,8 +185,13 @@ def ranks(histograms: Mapping[str, Mapping[str, np.ndarray]]) -> Figure | None:
             # Each bin holds a binomial count: 95 % of them lie within this band.
             band = 1.96 * np.sqrt(expected * 0.9)
             axes.axhspan(expected - band, expected + band, color=MUTED, alpha=0.25)
-            axes.set_title(f"{condition}\n{name}", fontsize=6)
+            axes.set_title(f"{condition}\n{_name(name)}", fontsize=6)
             axes.set_yticks([])
+    figure.supxlabel(
+        "rank of the truth among the posterior's draws; grey: where 95 % of the bars of a right "
+        "posterior lie",
+        fontsize=7,
+    )
     return figure
 
 

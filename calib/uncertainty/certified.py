@@ -23,6 +23,7 @@ from calib.uncertainty.depth import (
     point_uncertainties,
 )
 from calib.uncertainty.measurement import Instrument, Reading
+from calib.uncertainty.montecarlo import NORMAL_FACTOR
 
 CERTIFIED_DEPTHS = 5
 """Depths a certificate states, from the nearest to the farthest calibrated: three at least."""
@@ -81,7 +82,7 @@ class CheckedDepth:
         """The error's own 95 % uncertainty on its side, reference included."""
         above = self.z_mm > self.reference_mm
         side = self.z_mm - self.low95_mm if above else self.high95_mm - self.z_mm
-        return math.hypot(side, 2 * self.u_reference_mm)
+        return math.hypot(side, NORMAL_FACTOR * self.u_reference_mm)
 
     @property
     def consistent(self) -> bool:

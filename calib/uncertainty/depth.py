@@ -9,6 +9,7 @@ import numpy as np
 
 from calib.core.arrays import BoolArray, FloatArray
 from calib.core.errors import EstimationError
+from calib.core.unit_diagonal import unit_diagonal
 from calib.geometry.plane import gaze_at
 from calib.uncertainty.budget import COVERAGE, Budget
 from calib.uncertainty.joint import Asked, FixedNumber, Quantity, propagate_together, raise_first
@@ -114,10 +115,7 @@ class PositionUncertainty:
     @property
     def correlation(self) -> FloatArray:
         """Of x, y and z, shape (3, 3); 0 beside an exact coordinate."""
-        u = self.standard_uncertainty_mm
-        safe = np.where(u > 0, u, 1.0)
-        r: FloatArray = self.covariance_mm2 / np.outer(safe, safe)
-        return r
+        return unit_diagonal(self.covariance_mm2)[1]
 
 
 def reading_at(theta: FloatArray, *, z_mm: float, x1c: float, y1c: float = 0.0) -> Reading:

@@ -8,6 +8,7 @@ from typing import TypeAlias
 import numpy as np
 
 from calib.core.arrays import FloatArray
+from calib.core.unit_diagonal import Spectrum, unit_diagonal
 
 PARTS = 10
 """Parts into which given draws are divided: their scatter is known to a quarter."""
@@ -66,12 +67,7 @@ Inputs: TypeAlias = NormalInputs | StudentInputs | RectangularInputs | GivenInpu
 
 def factor(covariance: FloatArray) -> FloatArray:
     """Return F, shape (k, k), with F Fᵀ = covariance; semi-definite matrices are welcome."""
-    scale = np.sqrt(np.maximum(np.diag(covariance), 0))
-    safe = np.where(scale > 0, scale, 1.0)
-    # Working on the correlations keeps millimetres and microradians apart.
-    values, vectors = np.linalg.eigh(covariance / np.outer(safe, safe))
-    root: FloatArray = scale[:, None] * vectors * np.sqrt(np.maximum(values, 0))
-    return root
+    return Spectrum.of(covariance).root()
 
 
 NEGLIGIBLE = 1e-12
@@ -85,9 +81,7 @@ def triangular_factor(covariance: FloatArray) -> FloatArray:
     ones nothing hangs on rounding: an input that is no more uncertain once the earlier are known
     has a column of zeros.
     """
-    scale = np.sqrt(np.maximum(np.diag(covariance), 0))
-    safe = np.where(scale > 0, scale, 1.0)
-    rest = covariance / np.outer(safe, safe)
+    scale, rest = unit_diagonal(covariance)
     root = np.zeros_like(rest)
     for i in range(len(rest)):
         if rest[i, i] > NEGLIGIBLE:

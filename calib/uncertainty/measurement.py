@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.core.arrays import FloatArray
+from calib.core.unit_diagonal import Spectrum, unit_diagonal
 from calib.geometry.parameters import INDEX, PARAMETERS, STANDOFF, embed
 
 PARAMETERS_LABEL = "parameters"
@@ -188,15 +189,13 @@ class Instrument:
         p, by_shared = self.parameters, self.by_shared
         if not np.any(by_shared):
             return p.covariance
-        u = np.sqrt(np.diag(p.covariance))
-        scale = np.outer(u, u)
-        safe = np.where(scale > 0, scale, 1.0)
+        scale = unit_diagonal(p.covariance)[0]
         rest = p.covariance - by_shared @ by_shared.T
-        value, vectors = np.linalg.eigh(rest / safe)
+        value, vectors = np.linalg.eigh(rest / np.outer(scale, scale))
         if value.min(initial=0.0) >= 0:
             return rest
-        least: FloatArray = safe * ((vectors * np.maximum(value, 0)) @ vectors.T)
-        return least
+        root = Spectrum(scale, value, vectors).root()
+        return root @ root.T
 
 
 def with_standoff(instrument: Instrument, rng: np.random.Generator | None = None) -> Instrument:

@@ -60,6 +60,8 @@ def test_side_and_serial_are_in_every_output(rig: Path) -> None:
     assert result["rig"] == {"c2": "left", "serial": SERIAL}
     for name in ("certificate.html", "certificate.xml"):
         assert SERIAL in (rig / "out" / name).read_text()
+    report = (rig / "out" / "report.html").read_text()
+    assert "the yaw axis of C2 to the left of it" in report
 
 
 def test_measured_depths_hold_the_truth(rig: Path, capsys: pytest.CaptureFixture[str]) -> None:

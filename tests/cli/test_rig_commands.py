@@ -25,6 +25,7 @@ def lab(tmp_path, monkeypatch):
     """Give a folder with a rig in simulated time that was checked."""
     monkeypatch.chdir(tmp_path)
     short_chain.shorten(monkeypatch.setattr)
+    short_chain.leave_out_pages(monkeypatch.setattr)
     (tmp_path / "rig.toml").write_text(RIG)
     (tmp_path / "rig-check.json").write_text(json.dumps(CHECK))
     return tmp_path
@@ -58,9 +59,9 @@ def test_from_capture_to_measured_depths(lab, call):
     done = call("capture", "validation", "mine", "--rig", "rig.toml", "--count", 2)
     assert done.status == 0, done.err
     *warnings, last = call("check", "mine").out.splitlines()
-    assert last == "mine: no problems; 15 gaze rows, 2 validation rows"
+    assert last == "mine: no problems; 15 gaze rows, 2 validation rows, 1 returns"
     assert all("u_focal" in line for line in warnings), "what rig.toml cannot say of a given lens"
-    assert len(list((lab / "mine").rglob("*.png"))) == 2 * 17
+    assert len(list((lab / "mine").rglob("*.png"))) == 2 * (17 + 1)
     journal = [
         json.loads(line) for line in (lab / "mine" / "session.jsonl").read_text().splitlines()
     ]

@@ -17,6 +17,7 @@ from command import call, tree
 
 import calib.fit.chains
 import calib.stages.store
+from tests.reliability.short_chain import leave_out_pages
 
 TRUTH = {"baseline_mm": 140.0, "delta2_rad": 0.02, "axis_z_mm": -25.0, "eccentricity_mm": 2.0}
 
@@ -29,6 +30,7 @@ def test_truth_is_recovered(
     for name, value in short.items():
         monkeypatch.setattr(calib.fit.chains, name, value)
     monkeypatch.setattr(calib.stages.store, "processors", lambda: 1)  # others would not see that
+    leave_out_pages(monkeypatch.setattr)
     data, out = tmp_path / "rig", tmp_path / "out"
     asked = [f"--set={name}={value}" for name, value in TRUTH.items()]
     made = call(capsys, "simulate", data, "--seed", 3, "--rows", 20, "--outliers", 0.1, *asked)

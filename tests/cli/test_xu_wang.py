@@ -10,7 +10,9 @@ from __future__ import annotations
 import base64
 import csv
 import json
+import re
 import tomllib
+from decimal import Decimal
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -19,6 +21,7 @@ import numpy as np
 import pytest
 from command import DATASETS, Ended, process
 from dcc_schema import checked, shares, sources, texts
+from lxml import html
 
 from calib.geometry.parameters import vector
 from calib.geometry.plane import Gaze, depth
@@ -112,6 +115,28 @@ def test_digital_certificate_says_what_the_other_files_say(
     assert len(found) >= 3
     # Coordinates are given and their lens is not calibrated here: no error is shared.
     assert all(names == {"parameters", "x1c", "α2", "α2, resolution"} for names in found)
+
+
+@pytest.mark.usefixtures("result")
+def test_every_parameter_is_printed_alike_on_terminal_report_and_certificate(
+    run: Ended, out: Path
+) -> None:
+    """One value and one uncertainty of each quantity, rounded alike wherever they stand."""
+    cells = {name: _rows_of(out / f"{name}.html") for name in ("report", "certificate")}
+    shown = re.findall(r"^  (\w+) +(\S+) \+- (\S+)", run.out, flags=re.MULTILINE)
+    assert {name for name, *_ in shown} > {"baseline_mm", "delta2_rad", "effective_baseline_mm"}
+    for name, *texts_shown in shown:
+        places = 3 if name.endswith("_rad") else 0
+        figures = [str(Decimal(text).scaleb(places)) for text in texts_shown]
+        assert any(" ± ".join(figures) in row for row in cells["report"]), name
+        certified = any(figures == row[2:4] for row in cells["certificate"])
+        assert certified is (name != "log_noise_scale"), name
+
+
+def _rows_of(page: Path) -> list[list[str]]:
+    """Return the cells of all rows of all tables of a page, with ASCII signs."""
+    rows = html.parse(page).getroot().iter("tr")
+    return [[cell.text_content().strip().replace("−", "-") for cell in row] for row in rows]
 
 
 @pytest.mark.usefixtures("result")
@@ -233,6 +258,7 @@ def test_lost_output_is_written_again_without_computing(result: dict[str, Any], 
 
 
 def test_same_seed_same_bytes_elsewhere(result: dict[str, Any], out: Path, tmp_path: Path) -> None:
+    """Also in a batch, which calibrates in processes of its own."""
     other = {
         "OPENBLAS_NUM_THREADS": "2",
         "OMP_NUM_THREADS": "2",
@@ -241,8 +267,9 @@ def test_same_seed_same_bytes_elsewhere(result: dict[str, Any], out: Path, tmp_p
         "TZ": "Asia/Kathmandu",
         "PYTHONHASHSEED": "7",
     }
-    again = process("calibrate", PAPER, "--out", tmp_path / "öther place", env=other)
+    again = process("batch", PAPER, "--out", tmp_path / "öther place", env=other)
     assert again.status == 0, again.err
+    there = tmp_path / "öther place" / PAPER.name
     for name in ("calibration.json", "results.h5"):
-        assert (tmp_path / "öther place" / name).read_bytes() == (out / name).read_bytes(), name
+        assert (there / name).read_bytes() == (out / name).read_bytes(), name
     assert result["seed"] == 0

@@ -24,6 +24,7 @@ from calib.core.errors import InputError
 from calib.dataset.camera_file import LITERAL_LIMIT, read_camera
 from calib.dataset.contents import given_camera
 from calib.dataset.load import load_dataset
+from calib.geometry.camera import project
 
 MRCAL = """# OPENCV8
 {
@@ -165,7 +166,12 @@ YAML_FAULTS = {
     "broken": ("data: [", "data: [[[", "OpenCV"),
     "endless": ("image_width: 400", "image_width: 1e400", "image size"),
     "half a pixel": ("image_width: 400", "image_width: 400.5", "image size"),
-    "fisheye": ("image_width", "fisheye_model: 1\nimage_width", "fisheye"),
+    "fisheye": ("image_width", "fisheye_model: 1\nimage_width", "equidistant lenses have 4"),
+    "two models": (
+        "image_width",
+        "fisheye_model: 1\ndistortion_model: plumb_bob\nimage_width",
+        "names two lens models: fisheye_model 1 and distortion_model",
+    ),
     "a key twice": ("image_width: 400", "image_width: 400\nimage_width: 500", "twice"),
     "a key of a matrix twice": ("rows: 3", "rows: 3\n   rows: 3", "twice"),
     "itself": ("image_width: 400", "a: &a 400\nimage_width: *a", "refers to itself"),
@@ -232,11 +238,9 @@ def with_model(key: str, value: str, count: int = 4) -> str:
 @pytest.mark.parametrize(
     ("key", "value"),
     [
-        ("distortion_model", "equidistant"),
-        ("distortion_model", '"fisheye"'),
+        ("distortion_model", "equidistant6"),
         ("distortion_model", "of_our_own"),
-        ("camera_model", "KANNALA_BRANDT"),
-        ("Camera.type", '"KannalaBrandt8"'),
+        ("camera_model", "double_sphere"),
         ("model_type", "MEI"),
         ("camera_model", "omni"),
         ("lens_model", "LENSMODEL_SPLINED_STEREOGRAPHIC"),
@@ -256,6 +260,31 @@ def test_named_lens_model_that_is_none_of_opencvs_is_refused(key: str, value: st
 def test_named_lens_model_that_is_opencvs_is_read(value: str, count: int) -> None:
     camera = read_camera(with_model("distortion_model", value, count), name="c1.model")
     np.testing.assert_array_equal(camera.distortion, np.full(count, 1e-3))
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("distortion_model", "equidistant"),
+        ("distortion_model", '"fisheye"'),
+        ("fisheye_model", "1"),
+        ("camera_model", "KANNALA_BRANDT"),
+        ("Camera.type", '"KannalaBrandt8"'),
+    ],
+)
+def test_fisheye_is_read_as_what_it_is(key: str, value: str) -> None:
+    camera = read_camera(with_model(key, value), name="c1.model")
+    assert camera.projection == "equidistant"
+    rays = np.array([[0.0, 0.0, 1.0], [0.4, -0.3, 1.0], [2.0, 1.5, 1.0]])
+    still = np.zeros(3)
+    expected = cv2.fisheye.projectPoints(rays[None], still, still, MATRIX, np.full(4, 1e-3))[0][0]
+    np.testing.assert_allclose(project(camera, rays), expected, atol=1e-9)
+    assert "has 5 distortion coefficients" in fault_of(with_model(key, value, 5))
+
+
+def test_a_pinhole_says_that_it_is_no_fisheye() -> None:
+    text = with_model("fisheye_model", "0")
+    assert read_camera(text, name="c1.model").projection == "perspective"
 
 
 def test_name_and_number_of_coefficients_disagree() -> None:
@@ -288,6 +317,9 @@ def test_camera_info_of_ros() -> None:
     np.testing.assert_array_equal(camera.matrix, MATRIX)
     np.testing.assert_array_equal(camera.distortion, DISTORTION)
     assert "equidistant" in fault_of(ROS.replace("rational_polynomial", "equidistant"))
+    wide = ROS.replace("rational_polynomial", "equidistant").replace("cols: 8", "cols: 4")
+    camera = read_camera(wide.replace(", -0.1047, 0.01, 0.02, 0.03", ""), name="left.yaml")
+    assert camera.projection == "equidistant"
 
 
 SLIPS = {

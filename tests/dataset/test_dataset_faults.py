@@ -43,6 +43,11 @@ def section(name: str, table: str) -> str:
     return f'[{name}]\ntable = "{table}"\n'
 
 
+RETURNS = (
+    "id,of,after,alpha2_deg,change_deg,u_change_deg,u_first_deg,time\n"
+    "r01,1,2,87.1,0.001,{},0.002,2026-11-27T23:50:31Z\n"
+)
+
 PIXELS = "id,u1_px,v1_px,alpha2_deg,z_mm\n" + "".join(
     f"{i},{200 + i},150,87,{500 + i}\n" for i in range(5)
 )
@@ -153,6 +158,11 @@ FAULTS = {
         MANIFEST + section("validation", "validation.csv") + section("lengths", "lengths.csv"),
         {"validation__csv": GAZE, "lengths__csv": LENGTHS.format("2")},
         ["lengths.csv, line 2 (id a), column from", "'1' is a gaze row as well as"],
+    ),
+    "return without uncertainty": (
+        MANIFEST + section("returns", "returns.csv"),
+        {"returns__csv": RETURNS.format("0")},
+        ["returns.csv, line 2 (id r01), column u_change_deg", "is not above 0"],
     ),
     "missing table": (
         replaced(MANIFEST, '"gaze.csv"', '"gaze.CSV"'),

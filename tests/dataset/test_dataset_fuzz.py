@@ -26,6 +26,7 @@ from calib.dataset.fields import PRIOR_NAMES
 from calib.dataset.load import check_dataset, load_dataset
 from calib.dataset.manifest import Board, Camera, Certificate, Encoder, Gaze, Manifest, Stereo
 from calib.dataset.readers import read_gaze, read_lengths, read_measurements, read_sweep
+from calib.dataset.returns import scan_returns
 from calib.dataset.tables import GazeTable
 
 QUICK = settings(
@@ -46,6 +47,9 @@ FULL_TABLE = (
 )
 SWEEP = "id,placement,image_c2,alpha2_deg\n1,p,a.png,80\n2,q,b.png,90\n"
 LENGTHS = "id,from,to,length_mm,u_length_mm\na,1,3,420.5,0.2\nb,2,3,320,0.2\n"
+RETURNS = (
+    "id,of,after,alpha2_deg,change_deg,u_change_deg,u_first_deg\nr01,1,2,87,0.001,0.002,0.002\n"
+)
 CACHE = "# filename x y level\n" + "".join(f"a.png {x} {y} 0\n" for y in range(7) for x in range(9))
 
 NASTY = st.sampled_from(
@@ -123,6 +127,10 @@ def assert_refused_readably(error: InputError) -> None:
         assert_readable(problem)
 
 
+def scanned_returns(text: str, *, name: str) -> Any:
+    return scan_returns(text, name=name).sound()
+
+
 def try_table(read: Callable[..., Any], text: str) -> None:
     try:
         table = read(text, name="table.csv")
@@ -183,6 +191,7 @@ TRIALS: dict[str, tuple[st.SearchStrategy[Any], Callable[[Any], None]]] = {
     "measurements": (tables(GAZE), lambda text: try_table(read_measurements, text)),
     "sweep": (tables(SWEEP), lambda text: try_table(read_sweep, text)),
     "lengths": (tables(LENGTHS), lambda text: try_table(read_lengths, text)),
+    "returns": (tables(RETURNS), lambda text: try_table(scanned_returns, text)),
     "manifest bytes": (st.binary(), try_manifest),
     "manifest spoilt": (spoilt(MANIFEST).map(lambda t: t.encode("utf-8", "ignore")), try_manifest),
     "manifest values": (MANIFESTS.map(str.encode), try_manifest),

@@ -29,15 +29,17 @@ from calib.geometry.plane import OBSERVABLE
 from calib.simulate.contents import SimulationOptions
 from calib.simulate.dataset import simulate_dataset
 from tests.chain.left_rigs import mirror_dataset
-from tests.reliability.short_chain import shorten
+from tests.reliability.short_chain import leave_out_pages, shorten
 
 
 def calibrated(
-    folder: Path, out: Path, capsys: pytest.CaptureFixture[str]
+    folder: Path, out: Path, capsys: pytest.CaptureFixture[str], *, pages: bool = False
 ) -> tuple[int, str, dict[str, Any]]:
     with pytest.MonkeyPatch.context() as patch, warnings.catch_warnings():
         warnings.simplefilter("ignore")
         shorten(patch.setattr)
+        if not pages:
+            leave_out_pages(patch.setattr)
         status = main(["calibrate", str(folder), "--out", str(out)])
     document: dict[str, Any] = json.loads((out / "calibration.json").read_text())
     Document.model_validate_json(json.dumps(document))
@@ -107,7 +109,7 @@ def test_an_accepted_slip_is_corrected_stated_and_certified(
 ) -> None:
     folder = accepting(slipped, tmp_path / "data", "reading-step")
     out = tmp_path / "out"
-    _, said, document = calibrated(folder, out, capsys)
+    _, said, document = calibrated(folder, out, capsys, pages=True)
     (correction,) = document["corrections"]
     assert (correction["cause"], correction["at"]) == ("reading-step", "g13")
     assert abs(correction["estimate"] - 0.25) < 4 * correction["std"] < 0.1

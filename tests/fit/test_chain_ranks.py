@@ -93,12 +93,6 @@ def proposing(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(chains, "_good_proposal", lambda *_: True)
 
 
-@pytest.mark.usefixtures("proposing")
-@pytest.mark.parametrize("damage", [shifted, narrowed])
-def test_ranks_of_a_few(damage: Damage) -> None:
-    assert p_value(ranks_of_lines(12, damage), 2) > 1e-4
-
-
 @pytest.mark.slow
 @pytest.mark.usefixtures("proposing")
 @pytest.mark.parametrize("damage", [unharmed, shifted, narrowed])

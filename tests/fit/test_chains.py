@@ -165,6 +165,24 @@ def test_same_seed_same_chains() -> None:
     assert not np.array_equal(one[:100], other[:100])
 
 
+def test_autocorrelation_times_are_those_of_emcee(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Independent tool: emcee takes one walker after the other; also where spectra go in parts."""
+    rng = np.random.default_rng(0)
+    chain = rng.standard_normal((301, 40, 2))
+    for i in range(1, len(chain)):
+        chain[i] += np.array([0.3, 0.8]) * chain[i - 1]
+    expected = emcee.autocorr.integrated_time(chain, tol=0)
+    np.testing.assert_allclose(autocorrelation_times(chain), expected, rtol=1e-12)
+    monkeypatch.setattr(chains, "TRANSFORMED", 1000)
+    np.testing.assert_allclose(autocorrelation_times(chain), expected, rtol=1e-12)
+
+
+def test_correlations_that_do_not_end_are_summed_to_the_end_of_the_chain() -> None:
+    """Negative control: a chain that only rises must not be taken for independent draws."""
+    chain = np.linspace(0, 1, 60)[:, None, None] + np.zeros((1, 8, 1))
+    assert autocorrelation_times(chain)[0] > 5
+
+
 def test_autocorrelation_of_a_chain_in_which_a_walker_stays() -> None:
     """Property: an indicator that one walker never meets has a finite time, of the right size."""
     indicator = (np.random.default_rng(0).random((400, 32, 1)) < 0.05).astype(float)

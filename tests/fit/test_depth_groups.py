@@ -6,7 +6,6 @@ fits with drawn errors); properties (nothing where each row has its own; size an
 
 from __future__ import annotations
 
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -25,6 +24,7 @@ from calib.geometry.parameters import MODELS
 from calib.geometry.plane import OBSERVABLE
 from calib.plan.prepare import _without_groups
 from calib.rows.observations import GROUP_SOURCE, Observations, depth_groups
+from tests.call_count import counted_calls
 
 U_GROUP = 0.002
 
@@ -105,12 +105,12 @@ def test_directions_that_sharing_improves_are_left_as_they_are() -> None:
 def test_noise_scale_of_grouped_rows_is_that_of_the_statements() -> None:
     """Simulated truth: parameters follow common errors, and the scale takes that into account.
 
-    Its logarithm scatters by about 0.15, over 40 rigs 0.024 in the mean; taken as independent, the
+    Its logarithm scatters by about 0.15, over 24 rigs 0.03 in the mean; taken as independent, the
     same rows give it 0.08 too small.
     """
     group = np.repeat(np.arange(5), 6)
     logs, blind = [], []
-    for seed in range(40):
+    for seed in range(24):
         rng = np.random.default_rng(seed)
         rows, _ = simulated(rng, count=30)
         rows = rows.take(np.argsort(rows.z_mm))
@@ -118,7 +118,7 @@ def test_noise_scale_of_grouped_rows_is_that_of_the_statements() -> None:
         logs.append(np.log(fit_model(rows, NO_PRIORS, model="base").noise_scale))
         silent = replace(rows, z_group=np.zeros(0, np.int64), u_z_group_mm=np.zeros(0))
         blind.append(np.log(fit_model(silent, NO_PRIORS, model="base").noise_scale))
-    assert abs(np.mean(logs)) < 0.07
+    assert abs(np.mean(logs)) < 0.1
     assert np.mean(blind) < np.mean(logs) - 0.03
 
 
@@ -186,17 +186,17 @@ def test_plan_starts_from_what_groups_leave() -> None:
     np.testing.assert_array_equal(_without_groups(information, np.zeros((4, 0))), information)
 
 
-def test_many_groups_cost_no_more_than_rows_do() -> None:
-    """Property: 50,000 rows in 5,000 groups are fitted in a few times what they take alone."""
-    rows, _ = simulated(np.random.default_rng(2), count=50_000)
-    group = np.arange(50_000) % 5000
-    took = []
-    for one in (rows, grouped(rows, group)):
-        begin = time.process_time()
-        fit = fit_model(one, NO_PRIORS, model="axis-offset")
-        took.append(time.process_time() - begin)
-    assert 1 <= fit.by_shared.shape[1] <= 4
-    assert took[1] < 5 * took[0] + 1
+def test_nothing_is_done_group_by_group() -> None:
+    """Property: 9,000 rows in ten times as many groups are fitted by as many calls."""
+    rows, _ = simulated(np.random.default_rng(2), count=9000)
+    calls = []
+    for groups in (300, 3000):
+        one = grouped(rows, np.arange(9000) % groups)
+        with counted_calls() as count:
+            fit = fit_model(one, NO_PRIORS, model="axis-offset")
+        calls.append(count())
+        assert 1 <= fit.by_shared.shape[1] <= 4
+    assert calls[1] < 1.5 * calls[0], "the rounds of a fit differ a little"
 
 
 def test_units_larger_than_what_is_held_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -130,9 +130,9 @@ def test_gate_fails_where_depth_stays_unknown() -> None:
 
 
 def test_information_predicts_the_scatter_of_estimates() -> None:
-    """Simulated truth: the predicted standard deviations are those of 60 repeated fits.
+    """Simulated truth: the predicted standard deviations are those of 40 repeated fits.
 
-    Base on 20 rows, noise scale known to the prediction: the rms of 60 draws is known to 9 %, the
+    Base on 20 rows, noise scale known to the prediction: the rms of 40 draws is known to 11 %, the
     prediction's weights, from observed rows, to a few more; three times that is allowed.
     """
     truth = draw_rig(np.random.default_rng(9), model="base")
@@ -141,7 +141,7 @@ def test_information_predicts_the_scatter_of_estimates() -> None:
     z = rng.uniform(low, high, 20)
     points = np.column_stack([rng.uniform(-0.3, 0.3, 20) * z, np.zeros(20), z])
     estimates = []
-    for i in range(60):
+    for i in range(40):
         noise = np.random.default_rng((3, i))
         # A shift of more than a count each time: else all repeats share the encoder's rounding.
         shifted = points * (1 + 0.01 * noise.standard_normal((20, 1)) * [1, 0, 0])
@@ -150,7 +150,7 @@ def test_information_predicts_the_scatter_of_estimates() -> None:
     information = row_information(one, estimates[0]) * estimates[0].noise_scale ** 2
     predicted = np.sqrt(np.diag(np.linalg.inv(information)))
     scatter = np.std([e.values for e in estimates], axis=0)
-    assert scatter == pytest.approx(predicted, rel=0.3)
+    assert scatter == pytest.approx(predicted, rel=0.36)
 
 
 def test_combinations_are_the_information_taken_apart() -> None:

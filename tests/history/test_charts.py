@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from calib.history.charts import (
+from calib.uncertainty.charts import (
     CUSUM_ALLOWANCE,
     CUSUM_LIMIT,
     Chart,

@@ -37,9 +37,10 @@ def matrix(pose: FloatArray) -> FloatArray:
 
 def project(camera: Camera, points: FloatArray) -> FloatArray:
     """Pixels, with NaN where a point is off the imager."""
-    pixels = cv2.projectPoints(points, np.zeros(3), np.zeros(3), camera.matrix, camera.distortion)[
-        0
-    ].reshape(-1, 2)
+    still = np.zeros(3)
+    by = cv2.fisheye if camera.projection == "equidistant" else cv2
+    pixels = by.projectPoints(points[None], still, still, camera.matrix, camera.distortion)[0]
+    pixels = pixels.reshape(-1, 2)
     width, height = camera.image_size
     inside = ((pixels > 0) & (pixels < [width - 1, height - 1])).all(axis=-1) & (points[:, 2] > 0)
     pixels[~inside] = np.nan

@@ -9,16 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from calib.core.errors import EstimationError
-from calib.geometry.camera import Camera
-from calib.images.bundle import (
-    Block,
-    deformed,
-    dispersion,
-    inverse,
-    minimise,
-    project_points,
-    proven,
-)
+from calib.geometry.camera import Camera, project_points
+from calib.images.bundle import Block, deformed, dispersion, inverse, minimise, proven
 
 POINTS = np.array([[30.0, -40.0, 500.0], [-200.0, 100.0, 900.0], [5.0, 8.0, 300.0]])
 

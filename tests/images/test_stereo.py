@@ -20,8 +20,9 @@ from calib.geometry.poses import invert_pose, pose_matrix, pose_vector, transfor
 from calib.images.mrcal import call as mrcal_call
 from calib.images.mrcal import solves as mrcal_process
 from calib.images.pairs import start_pairs
+from calib.images.stereo.by_opencv import solve_opencv
 from calib.images.stereo.reference import given_reference, stereo_reference
-from calib.images.stereo.solve import CameraPair, joint_covariance, solve_mrcal, solve_opencv
+from calib.images.stereo.solve import CameraPair, joint_covariance, solve_mrcal
 from calib.images.stereo.triangulate import find_targets, position_on_board, triangulate
 
 

@@ -27,6 +27,10 @@ class Live:
     server: Server
 
     @property
+    def app(self):
+        return self.server.config.app
+
+    @property
     def record(self):
         return self.session.record
 

@@ -14,6 +14,7 @@ from contextlib import closing
 
 import pytest
 from live_server import live
+from starlette.routing import Route, WebSocketRoute
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
@@ -54,28 +55,43 @@ def commanding(server):
     return f"/ws?token={server.access.token}"
 
 
-@pytest.mark.parametrize("path", ["/", "/static/live.js", "/positions.csv", "ws"])
-@pytest.mark.parametrize(
-    "host", ["evil.example", "evil.example:{port}", "127.0.0.1.evil.example:{port}", ""]
-)
-def test_a_foreign_host_is_refused(served, path, host):
-    path = commanding(served) if path == "ws" else path
-    headers = {"Host": host.format(port=served.port)}
-    upgrade = UPGRADE if path.startswith("/ws") else {}
-    assert status(served, path, headers | upgrade) == 403
-    headers["Host"] = own(served)
-    assert status(served, path, headers | upgrade) in (200, 101)
+def every_route(server):
+    """Yield a path to each of the application's routes, with the token, and its upgrade."""
+    routes = server.app._app.routes
+    assert {type(route) for route in routes} == {Route, WebSocketRoute}
+    names = {"/static/{name}": "live.js", "/run/{name}": "report.html"}
+    for route in routes:
+        path = route.path.replace("{name}", names.get(route.path, ""))
+        upgrade = UPGRADE if isinstance(route, WebSocketRoute) else {}
+        yield f"{path}?token={server.access.token}", upgrade
+    yield f"/nowhere?token={server.access.token}", {}
 
 
 @pytest.mark.parametrize(
-    "origin", ["http://evil.example", "null", "https://{own}", "http://{own}1"]
+    "host",
+    ["evil.example", "evil.example:{port}", "127.0.0.1.evil.example:{port}",
+     "127.0.0.1@evil.example", "", "[", "0x7f.1:{port}"],
+)  # fmt: skip
+def test_a_foreign_host_is_refused_on_every_route(served, host):
+    before = served.true_yaw()
+    for path, upgrade in every_route(served):
+        headers = {"Host": host.format(port=served.port)} | upgrade
+        assert status(served, path, headers) == 403, path
+        headers["Host"] = own(served)
+        assert status(served, path, headers) in (200, 101, 404), path
+    assert served.record.get("job") is None
+    assert served.true_yaw() == before
+
+
+@pytest.mark.parametrize(
+    "origin", ["http://evil.example", "null", "https://{own}", "http://{own}1", "http://localhost"]
 )
-def test_a_foreign_origin_is_refused(served, origin):
-    headers = {"Host": own(served), "Origin": origin.format(own=own(served))}
-    assert status(served, commanding(served), headers | UPGRADE) == 403
-    assert status(served, "/", headers) == 403
-    headers["Origin"] = f"http://{own(served)}"
-    assert status(served, commanding(served), headers | UPGRADE) == 101
+def test_a_foreign_origin_is_refused_on_every_route(served, origin):
+    for path, upgrade in every_route(served):
+        headers = {"Host": own(served), "Origin": origin.format(own=own(served))} | upgrade
+        assert status(served, path, headers) == 403, path
+        headers["Origin"] = f"http://{own(served)}"
+        assert status(served, path, headers) in (200, 101, 404), path
 
 
 @pytest.mark.parametrize("token", ["", "?token=", "?token=wrong", "?token=é"])
@@ -131,10 +147,11 @@ def test_listening_elsewhere_needs_the_token_for_everything(tmp_path, monkeypatc
     monkeypatch.chdir(tmp_path)
     with live(tmp_path, host="0.0.0.0") as server:  # noqa: S104 - what is tested
         host = {"Host": own(server)}
-        for path in ("/", "/positions.csv", "/run/report.html"):
-            assert status(server, path, host) == 403
-        assert status(server, "/ws", host | UPGRADE) == 403
-        assert status(server, "/ws?token=wrong", host | UPGRADE) == 403
+        for path, upgrade in every_route(server):
+            for wrong in ("", "?token=", "?token=wrong"):
+                bare = path.partition("?")[0]
+                wanted = 200 if bare.startswith("/static/") else 403
+                assert status(server, bare + wrong, host | upgrade) == wanted, bare
         assert status(server, f"/?token={server.access.token}", host) == 200
         assert status(server, commanding(server), host | UPGRADE) == 101
         assert status(server, f"/?token={server.access.token}", {"Host": "evil.example"}) == 403

@@ -13,28 +13,31 @@ import numpy as np
 from calib.live import streams
 from calib.live.streams import Stream
 from calib.rig.clock import HostClock
-from calib.rig.protocols import Frame
+from calib.rig.protocols import Frame, Lost
 
 
 class Camera:
-    """A camera that hands out a new frame each time, or the same one."""
+    """A camera that hands out a new frame each time, or the same one, or none."""
 
     def __init__(self, *, is_frozen=False):
         self.is_frozen = is_frozen
+        self.is_lost = False
         self.taken = 0
         self.may_answer = threading.Event()
         self.may_answer.set()
 
     def latest(self):
         assert self.may_answer.wait(10)
+        if self.is_lost:
+            raise Lost("the cable is off")
         self.taken += 1
         serial = 1 if self.is_frozen else self.taken
         return Frame(np.zeros((48, 64), np.uint8), self.taken, "arrival", serial)
 
 
 @contextmanager
-def stream_of(camera):
-    stream = Stream(camera, HostClock(), lambda: None, lambda: 31.5)
+def stream_of(camera, told=lambda _: None):
+    stream = Stream(camera, HostClock(), lambda: (), lambda: 31.5, told)
     came = threading.Semaphore(0)
     stream.listen(came.release)
     stream.start()
@@ -86,3 +89,16 @@ def test_a_camera_that_has_nothing_new_is_left_alone_when_nobody_asks(monkeypatc
         camera.is_frozen = False
         stream.ask()
         assert came.acquire(timeout=10)
+
+
+def test_a_camera_that_is_lost_is_told_and_so_is_its_return(monkeypatch):
+    monkeypatch.setattr(streams, "SAME_S", 0.02)
+    camera, heard = Camera(), []
+    camera.is_lost = True
+    with stream_of(camera, heard.append) as (stream, came):
+        stream.ask()
+        threading.Event().wait(0.2)
+        assert set(heard) == {"the cable is off"}
+        camera.is_lost = False
+        assert came.acquire(timeout=10)
+        assert heard[-1] == ""

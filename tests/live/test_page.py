@@ -9,17 +9,16 @@ import csv
 import http.server
 import json
 import shutil
-import sys
 import threading
 import time
-from pathlib import Path
 
 import pytest
 from live_server import live, settings
-from playwright.sync_api import sync_playwright
+from playwright.sync_api import expect, sync_playwright
 from websockets.sync.client import connect
 
 from calib.geometry.camera import project
+from calib.rig.protocols import Lost
 
 LONG_MS = 60_000
 
@@ -58,11 +57,25 @@ def page_of(browser):
     assert faults == []
 
 
+@pytest.fixture(scope="module")
+def server(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("served")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        with live(folder) as server:
+            yield server
+
+
 @pytest.fixture
-def served(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    with live(tmp_path) as server:
-        yield server
+def served(server):
+    """Give the server at rest, with a board before both cameras and no page open."""
+    with connect(f"ws://127.0.0.1:{server.port}/ws") as socket:
+        while json.loads(socket.recv(timeout=30))["page"]["owned"]:
+            pass
+    server.session._bench.hand("board").place("here")
+    yield server
+    server.session.stop()
+    server.idle(seconds=30)
 
 
 def at_rest(server):
@@ -86,7 +99,51 @@ def test_pictures_come_with_the_target_marked_and_are_new(served, page_of):
     true = project(world.rig.c1, world.target(world.clock.now_ns())[None])[0]
     assert abs(u - true[0]) < 1.0
     assert abs(v - true[1]) < 1.0
+    assert page.get_attribute("#c1", "data-marks") == str(world.board.rows * world.board.columns)
     assert "this page has the motor" in page.inner_text("#role")
+
+
+def test_a_camera_that_is_lost_is_seen_to_be(served, page_of, monkeypatch):
+    page = page_of(served.url)
+    page.wait_for_selector("#c2[data-frames]")
+
+    def lost():
+        raise Lost("the cable of C2 is off")
+
+    camera = served.session._bench.rig.c2
+    with monkeypatch.context() as patch:
+        patch.setattr(camera, "latest", lost)
+        page.wait_for_selector("#c2.stale")
+        assert "cable of C2 is off" in page.inner_text("#c2-text")
+        assert "target at" in page.inner_text("#c1-text")
+    page.wait_for_selector("#c2:not(.stale)")
+    page.wait_for_selector("#c2-text:has-text('target at')")
+
+
+def test_a_click_on_a_picture_names_the_target_there(served, page_of):
+    page = page_of(served.url)
+    page.wait_for_selector("#c1[data-target]")
+    world = served.session._bench.rig.world
+    pose = world.pose(world.clock.now_ns())
+    corner = world.board.object_points()[world.board.columns + 2]  # column 2, row 1
+    u, v = project(world.rig.c1, (pose[:3, :3] @ corner + pose[:3, 3])[None])[0]
+    scale = page.evaluate("c1.clientWidth / c1.width")
+    page.focus("#to")
+    page.click("#c1", position={"x": u * scale, "y": v * scale})
+    expect(page.locator("#to")).to_have_value("corner:2,1", timeout=LONG_MS)
+    assert page.input_value("#target") == "board"
+    page.click("#c1", position={"x": 3, "y": 3})
+    page.wait_for_selector("#notice:has-text('nothing there')")
+
+
+def test_a_click_that_is_doubled_is_one(served, page_of):
+    page = page_of(served.url)
+    page.dblclick("#check")
+    state = served.turning()
+    assert state["waiting"] == []
+    page.click("#stop")
+    served.idle(seconds=10)
+    page.wait_for_selector("#check:enabled")
 
 
 def test_stop_in_the_middle_of_a_move(served, page_of):
@@ -209,33 +266,29 @@ def clicked(page, button):
     wait_idle(page)
 
 
-CALIB = """\
-import sys, warnings
-sys.path.insert(0, {folder!r})
-import short_chain
-short_chain.shorten(setattr)
-warnings.simplefilter("ignore")
-from calib.cli.main import main
-sys.exit(main())
-"""
-
-
 @pytest.mark.slow
-def test_from_an_empty_folder_to_measured_depths_by_clicks_alone(tmp_path, monkeypatch, page_of):
+def test_from_an_empty_folder_to_a_certified_calibration_and_depths_by_clicks(
+    tmp_path, monkeypatch, page_of
+):
+    """Nothing is shortened: lenses, pairs, sweep, rows, validation, the chain as users run it."""
     monkeypatch.chdir(tmp_path)
-    folder = Path(__file__).parents[1] / "reliability"
-    (tmp_path / "short.py").write_text(CALIB.format(folder=str(folder)))
-    program = (sys.executable, str(tmp_path / "short.py"))
-    with live(tmp_path, rig=settings(time="simulated"), calib=program) as server:
+    with live(tmp_path, rig=settings(time="simulated")) as server:
         page = page_of(server.url, color_scheme="dark", viewport={"width": 400, "height": 800})
+        page.set_default_timeout(20 * LONG_MS)
         assert page.evaluate("document.documentElement.scrollWidth") <= 400
         assert page.is_disabled("#capture")
         clicked(page, "check")
         assert "fit" in page.inner_text("#check-text")
-        page.fill("#rows", "12")
-        clicked(page, "capture")
-        assert page.inner_text("#capture-text").startswith("12 rows")
+        for kind in ("intrinsics", "stereo", "sweep"):
+            page.select_option("#pictures-kind", kind)
+            clicked(page, "pictures")
+        for kind, count in (("gaze", "15"), ("validation", "5")):
+            page.select_option("#kind", kind)
+            page.fill("#rows", count)
+            clicked(page, "capture")
+        assert page.inner_text("#capture-text").startswith("15 rows and 5 for validation")
         clicked(page, "calibrate")
+        assert "calibrated, all gates passed" in page.inner_text("#log")
         result = json.loads((server.session.places.run / "calibration.json").read_text())
         assert result["rig"]["serial"] == "virtual-1"
         world = server.session._bench.rig.world
@@ -245,17 +298,19 @@ def test_from_an_empty_folder_to_measured_depths_by_clicks_alone(tmp_path, monke
             true.append(world.target(world.clock.now_ns()))
         clicked(page, "length")
         assert page.evaluate("document.documentElement.scrollWidth") <= 400
-        page.wait_for_selector("#documents:not([hidden])")
-        page.frame_locator("#document").locator("body").first.wait_for()
+        for tab in ("Certificate", "Report"):
+            page.click(f"#tabs >> text={tab}")
+            page.frame_locator("#document").locator("h1").first.wait_for()
         with page.expect_download() as download:
             page.click("#csv")
         rows = list(csv.DictReader(download.value.path().read_text().splitlines()))
     assert [row["id"] for row in rows] == ["t01", "t02", "t03", "t04", "t05"]
     for row, (x, y, z) in zip(rows, true, strict=True):
-        assert abs(float(row["z_mm"]) - z) < 4 * float(row["u_z_mm"])
-        assert abs(float(row["x_mm"]) - x) < 2.0
-        assert abs(float(row["y_mm"]) - y) < 2.0
+        for name, value in zip("xyz", (x, y, z), strict=True):
+            assert abs(float(row[f"{name}_mm"]) - value) < 4 * float(row[f"u_{name}_mm"]), name
         assert float(row["z_low95_mm"]) < float(row["z_mm"]) < float(row["z_high95_mm"])
+        assert float(row["u_z_mm"]) < 0.002 * z
     lengths = server.record.get("lengths")
     assert lengths[0]["from"] == "plate:left-upper"
     assert abs(lengths[0]["length_mm"] - 1400) < 4 * lengths[0]["u_mm"]
+    assert lengths[0]["u_mm"] < 3.0

@@ -11,13 +11,14 @@ import pytest
 from live_server import settings
 
 from calib.core.errors import UsageError
+from calib.live import jobs
 from calib.live.bench import Places
-from calib.live.commands import Calibrate, Check
+from calib.live.commands import Calibrate, Check, Gaze
 from calib.live.guarded import GuardedAxis
 from calib.live.hand import PageHand
 from calib.live.record import Record
 from calib.live.session import WAITING_MAX, Given, Session
-from calib.rig.protocols import Interrupted
+from calib.rig.protocols import Interrupted, Lost
 
 
 class Axis:
@@ -84,10 +85,13 @@ def check():
 
 
 def test_stop_forgets_what_waits_and_the_queue_has_an_end(session):
-    for _ in range(WAITING_MAX):
-        session.submit(check())
-    with pytest.raises(UsageError, match="wait already"):  # noqa: PT012 - one may be at work
-        session.submit(check())
+    session.submit(check())
+    for _ in range(WAITING_MAX - 1):
+        session.submit(Gaze(do="gaze"))
+    with pytest.raises(UsageError, match="8 jobs wait already"):  # noqa: PT012 - one may be at work
+        session.submit(Gaze(do="gaze"))
+        session.submit(Gaze(do="gaze"))
+    with pytest.raises(UsageError, match="Check is at work or waits already"):
         session.submit(check())
     session.stop()
     state = session.record.snapshot()[1]
@@ -111,6 +115,52 @@ def test_a_job_that_cannot_be_done_says_why_and_the_next_one_is_done(session):
     lines = [line for line in state["log"] if "Calibrate" in line["text"]]
     assert lines[0]["kind"] == "bad"
     assert "dataset.toml" in lines[0]["text"]
+
+
+def logged(session, words):
+    for _ in range(400):
+        lines = [line for line in session.record.snapshot()[1]["log"] if words in line["text"]]
+        if lines:
+            return lines[0]
+        threading.Event().wait(0.05)
+    raise AssertionError(session.record.snapshot()[1]["log"])
+
+
+def test_a_fault_of_the_program_stops_the_motor_and_the_page_goes_on(session, monkeypatch, capsys):
+    def broken(*_):
+        raise ZeroDivisionError("nothing to divide by")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(jobs, "run", broken)
+        session.submit(check())
+        line = logged(session, "a fault of the program, ZeroDivisionError")
+    assert line["kind"] == "bad"
+    assert session._bench.axis.is_stopped
+    assert "nothing to divide by" in capsys.readouterr().err
+    session.submit(Gaze(do="gaze"))
+    logged(session, "there is no calibration")
+
+
+def test_an_axis_that_does_not_obey_keeps_no_question_and_no_job(session, monkeypatch):
+    def lost():
+        raise Lost("the controller does not answer")
+
+    session.submit(Gaze(do="gaze"))
+    with monkeypatch.context() as patch:
+        patch.setattr(session._bench.axis, "stop", lost)
+        with pytest.raises(Lost):
+            session.stop()
+        session.submit(check())
+        session.owner_left()
+        assert "does not obey" in logged(session, "does not answer")["text"]
+    assert session.record.get("question") is None
+    assert session.record.get("waiting") == []
+
+
+def test_a_closed_rig_takes_no_jobs(session):
+    session.__exit__()
+    with pytest.raises(UsageError, match="closed"):
+        session.submit(check())
 
 
 def asked(hand, work):

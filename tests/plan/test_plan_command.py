@@ -6,6 +6,8 @@ Evidence: properties of the printed advice; simulated truth behind the rig with 
 from __future__ import annotations
 
 import argparse
+import csv
+import json
 from itertools import pairwise
 from pathlib import Path
 
@@ -48,6 +50,33 @@ def test_plan_prints_ranked_targets_and_draws_them(
     assert table[0][-1] < now[-1]
     assert all(a[-1] >= b[-1] for a, b in pairwise(table))
     assert all(40 <= row[5] <= 140 for row in table)
+
+
+def test_advice_from_rows_that_contradict_each_other_says_so(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Simulated truth: 3 of 12 reference depths too long by 6 %."""
+    data = tmp_path / "rig"
+    assert main(["simulate", str(data), "--seed", "3", "--rows", "12", "--quiet"]) == 0
+    asked = ("--depth", "1500", "--rows", "2")
+    assert plan(str(data), *asked) == 0
+    table = data / "gaze.csv"
+    with table.open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    for row in (rows[1], rows[4], rows[9]):
+        row["z_mm"] = str(1.06 * float(row["z_mm"]))
+    with table.open("w", newline="") as file:
+        writer = csv.DictWriter(file, list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)
+    capsys.readouterr()
+    assert plan(str(data), *asked, "--json") == 3
+    told = capsys.readouterr()
+    assert [gate["name"] for gate in json.loads(told.out)["failed_gates"]] == ["residuals"]
+    assert "gate residuals FAILED" in told.err
+    assert "targets rest on what failed" in told.err
+    assert plan(str(data), *asked, "--quiet", "--accept-failed") == 0
+    assert capsys.readouterr().err == ""
 
 
 def test_rows_all_on_one_side_of_the_axis_can_be_planned_for(

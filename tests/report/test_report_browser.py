@@ -124,6 +124,43 @@ def test_every_table_downloads_with_all_digits(browser: Browser) -> None:
     assert key in first
 
 
+def _press(browser: Browser, key: str) -> None:
+    for kind in ("keyDown", "keyUp"):
+        browser.call("Input.dispatchKeyEvent", type=kind, key=key, code=key)
+
+
+def test_figures_and_the_scene_tell_their_values_to_the_keyboard(browser: Browser) -> None:
+    image = "document.querySelector('#validation figure img')"
+    tip = "document.querySelector('.tip')"
+    browser.evaluate("document.querySelector('#validation details').open = true")
+    browser.evaluate(f"{image}.focus()")
+    points = browser.evaluate(f"JSON.parse({image}.dataset.points)")
+    order = [text for *_, text in sorted(points, key=lambda p: (p[0], p[1]))]
+    for wanted in order[:3]:
+        _press(browser, "ArrowRight")
+        assert browser.evaluate(f"{tip}.textContent") == wanted
+    _press(browser, "ArrowLeft")
+    assert browser.evaluate(f"{tip}.textContent") == order[1]
+    _press(browser, "Enter")
+    assert browser.evaluate("document.querySelector('dialog').open") is True
+    large = "document.querySelector('dialog img')"
+    _press(browser, "ArrowRight")
+    assert browser.evaluate(f"!{tip}.hidden && {tip}.closest('dialog') !== null") is True
+    _press(browser, "+")
+    left = browser.evaluate(f"{large}.getBoundingClientRect().left")
+    _press(browser, "ArrowRight")
+    assert browser.evaluate(f"{large}.getBoundingClientRect().left") == pytest.approx(left - 80)
+    _press(browser, "Escape")
+    browser.evaluate("document.querySelector('dialog').close()")
+    browser.evaluate("document.querySelector('#data details').open = true")
+    browser.evaluate("document.querySelector('canvas').focus()")
+    _press(browser, "n")
+    assert " mm" in browser.evaluate(f"{tip}.textContent")
+    assert browser.evaluate(f"{tip}.hidden") is False
+    browser.evaluate("document.querySelector('canvas').blur()")
+    assert browser.evaluate(f"{tip}.hidden") is True
+
+
 def test_figures_tell_their_values_and_enlarge(browser: Browser) -> None:
     image = "document.querySelector('#validation figure img')"
     browser.evaluate(f"{image}.scrollIntoView()")

@@ -181,7 +181,7 @@ def test_a_failed_check_is_said_first() -> None:
     notices = page.xpath("//section[@id='verdict']/div[contains(@class, 'notice')]")
     assert "bad" in notices[0].get("class")
     assert "Do not use" in notices[0].text_content()
-    assert "the chain did not converge: add rows" in notices[-1].text_content()
+    assert "The chain did not converge: add rows." in notices[-1].text_content()
 
 
 def test_a_dataset_without_gaze_rows_has_its_report() -> None:

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from report_examples import paper
 
-from calib.checks.verdict import all_gates, disagreements, gaze_gates, gaze_warnings
+from calib.checks.references import disagreements
+from calib.checks.verdict import all_gates, gaze_gates, gaze_warnings
 from calib.fit.identifiability import Identifiability
 from calib.report.page import render_report
 from calib.report.sections.contradiction import what_the_errors_do

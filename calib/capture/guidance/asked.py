@@ -75,7 +75,7 @@ def asked_for(
     corners = project(camera, transform(pose, board.object_points()))
     around = _along(rim(board))
     outline = project(camera, transform(pose, around))
-    now, then = (f"{value:.2g}" for value in u)
+    now, then = (f"{value:.2g}" if value < 99.5 else f"{value:.0f}" for value in u)
     return Asked(
         role=role,
         corners_px=corners,

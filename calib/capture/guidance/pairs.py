@@ -32,9 +32,8 @@ from calib.capture.shutter import WORTH, Shutter, View
 from calib.core.arrays import FloatArray
 from calib.core.errors import EstimationError
 from calib.geometry.board import Board
-from calib.geometry.camera import Camera, intrinsic_vector, normalise, project
+from calib.geometry.camera import Camera, intrinsic_vector, normalise, project, project_points
 from calib.geometry.poses import pose_matrix, pose_vector, rotation
-from calib.images.bundle import project_points
 from calib.images.joint.model import BOW, BoardImages, JointProblem
 from calib.images.pairs import MIN_PAIRS, half_turn_looks_same, single_view_pose
 

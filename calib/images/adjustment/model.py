@@ -9,12 +9,12 @@ import cv2
 import numpy as np
 
 from calib.core.arrays import BoolArray, FloatArray, IntArray
-from calib.geometry.camera import Camera, intrinsic_vector
+from calib.geometry.camera import Camera, intrinsic_vector, project_points
 from calib.geometry.poses import rotation
 from calib.images.adjustment.mounting import RIG, Turned, seen, seen_by_rig, seen_by_turn, turned
 from calib.images.adjustment.problem import POSE, Pictures, Problem
 from calib.images.board_errors import BoardSums, Equations
-from calib.images.bundle import deformed, finite, project_points
+from calib.images.bundle import deformed, finite
 from calib.images.joint.reduced import Unknowns, ViewNormals
 
 CHUNK = 64

@@ -9,6 +9,7 @@ from scipy.stats import chi2
 
 from calib.core.arrays import BoolArray, FloatArray, IntArray
 from calib.core.gate import Gate
+from calib.core.unit_diagonal import unit_diagonal
 from calib.geometry.board import Board, Corners
 from calib.geometry.camera import Camera, intrinsic_names
 from calib.geometry.parameters import MODELS, NAMES, STANDOFF
@@ -217,8 +218,8 @@ def _contradiction(found: Solution, names: tuple[str, ...]) -> str:
     dropped = [k for k, name in enumerate(problem.names) if name not in names]
     at = problem.at_rig[dropped]
     values, spread = found.reduced.at.shared[at], found.covariance[np.ix_(at, at)]
-    std = np.sqrt(np.diag(spread))
-    statistic = float(values / std @ np.linalg.solve(spread / np.outer(std, std), values / std))
+    std, correlation = unit_diagonal(spread)
+    statistic = float(values / std @ np.linalg.solve(correlation, values / std))
     if chi2.sf(statistic, len(at)) >= CONTRADICTED:
         return ""
     worst = int(np.argmax(np.abs(values / std)))

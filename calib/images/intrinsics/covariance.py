@@ -8,10 +8,10 @@ import numpy as np
 
 from calib.core.arrays import BoolArray, FloatArray, IntArray
 from calib.core.errors import EstimationError
-from calib.geometry.camera import Camera
+from calib.geometry.camera import Camera, project_points
 from calib.geometry.poses import rotation, transform, transformed_by_pose
 from calib.images.board_errors import BoardSums, Equations
-from calib.images.bundle import bow_shapes, inverse, project_points
+from calib.images.bundle import bow_shapes, inverse
 from calib.images.detection.grid import seen
 from calib.images.disagreement import view_factor
 

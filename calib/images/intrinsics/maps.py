@@ -8,8 +8,8 @@ import numpy as np
 
 from calib.core.arrays import BoolArray, FloatArray, IntArray
 from calib.geometry.board import LensFit
-from calib.geometry.camera import Camera, normalise, project
-from calib.images.bundle import finite, project_points
+from calib.geometry.camera import Camera, normalise, project, project_points
+from calib.images.bundle import finite
 
 CELLS = (6, 8)
 """Rows and columns of the cells in which coverage is counted: about square on 4:3 imagers, and as

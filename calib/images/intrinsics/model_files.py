@@ -24,9 +24,11 @@ def cameramodel_text(camera: Camera, *, extrinsics: FloatArray | None = None) ->
     Raises
     ------
     ValueError
-        If mrcal has no such lens model (14 coefficients, a tilted imager).
+        If mrcal has no such lens model (a fisheye; 14 coefficients, a tilted imager).
     """
     count = len(camera.distortion)
+    if camera.projection != "perspective":
+        raise ValueError(f"mrcal has no {camera.projection} lens model of OpenCV's coefficients")
     if count not in LENS_MODELS:
         raise ValueError(f"mrcal has no lens model with {count} of OpenCV's coefficients")
     numbers = ", ".join(f"{v:.{_DIGITS}g}" for v in intrinsic_vector(camera))
@@ -51,6 +53,9 @@ def opencv_text(camera: Camera) -> str:
     width, height = camera.image_size
     storage.write("image_width", width)
     storage.write("image_height", height)
+    if camera.projection == "equidistant":
+        # As OpenCV's calibration sample marks coefficients for cv2.fisheye.
+        storage.write("fisheye_model", 1)
     storage.write("camera_matrix", camera.matrix)
     # OpenCV cannot store a matrix without elements; four zeros are the same lens.
     lens = camera.distortion if len(camera.distortion) else np.zeros(4)

@@ -19,8 +19,8 @@ import numpy as np
 
 from calib.core.arrays import FloatArray
 from calib.geometry.board import LensFit
+from calib.geometry.camera import project_points
 from calib.geometry.poses import transform, transformed_by_pose
-from calib.images.bundle import project_points
 from calib.images.detection.grid import seen
 
 LEAST_SHARE = 0.5

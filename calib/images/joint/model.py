@@ -14,10 +14,10 @@ import cv2
 import numpy as np
 
 from calib.core.arrays import BoolArray, FloatArray, IntArray
-from calib.geometry.camera import Camera
+from calib.geometry.camera import Camera, project_points
 from calib.geometry.poses import rotation
 from calib.images.board_errors import BoardSums, Equations
-from calib.images.bundle import deformed, project_points
+from calib.images.bundle import deformed
 from calib.images.joint.reduced import Unknowns, ViewNormals
 from calib.images.joint.unknowns import LensesAndBoard
 

@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 
 from calib.core.arrays import FloatArray, IntArray
-from calib.geometry.camera import Camera, camera_from_vector, intrinsic_vector
+from calib.geometry.camera import Camera, intrinsic_vector, with_intrinsics
 from calib.images.bundle import deformed
 
 
@@ -90,7 +90,7 @@ class LensesAndBoard:
         """Return a camera with the intrinsics of shared unknowns."""
         if not self.free[camera]:
             return self.cameras[camera]
-        return camera_from_vector(x[self.at_lens(camera)], self.cameras[camera].image_size)
+        return with_intrinsics(self.cameras[camera], x[self.at_lens(camera)])
 
     def board_at(self, x: FloatArray) -> FloatArray:
         """Return the board's corners, mm, shape (corners, 3)."""

@@ -53,13 +53,18 @@ def pairs_gate(inconsistent: tuple[str, ...], count: int) -> Gate:
 
 
 def agreement_gate(
-    record: StereoSolve, others: tuple[StereoSolve, ...], start: PairStart, board: Board
+    record: StereoSolve,
+    others: tuple[StereoSolve, ...],
+    start: PairStart,
+    board: Board,
+    missing: tuple[str, ...] = (),
 ) -> Gate:
     """Gate on other backends: each must find the same depths, mrcal the same pose too.
 
-    OpenCV takes the board to be flat, so that it differs in the pose by what a bow does.
+    OpenCV takes the board to be flat, so that it differs in the pose by what a bow does. `missing`
+    says of backends why they are not among them.
     """
-    passed, told = True, []
+    passed, told = True, list(missing)
     for other in others:
         apart = depth_difference(record, other, start, board)
         passed &= apart <= DEPTH_AGREEMENT

@@ -31,6 +31,7 @@ from calib.images.stereo.backends import (
     solve_mrcal_jointly,
     solve_pairs_alone,
 )
+from calib.images.stereo.by_opencv import opencv_beside
 from calib.images.stereo.gates import (
     agreement_gate,
     intrinsics_gate,
@@ -43,9 +44,9 @@ from calib.images.stereo.solve import (
     StereoSolve,
     joint_covariance,
     solve_mrcal,
-    solve_opencv,
 )
 from calib.images.stereo.triangulate import Targets, find_targets
+from calib.images.stereo.wide import any_wide
 
 ROLL_LIMIT_RAD = float(np.deg2rad(45.0))
 """Beyond, C2's centre column is nearer to a row of C1. The model's roll is a degree or two."""
@@ -309,11 +310,11 @@ def _checks(
     """Return what stands beside the solve of record, and the gates on it."""
     known = replace(rig, cameras=record.cameras)
     with ThreadPoolExecutor(1) as pool:
-        if joint is not None and all(rig.free):
+        if joint is not None and all(rig.free) and not any_wide(rig.cameras):
             waiting = pool.submit(solve_mrcal_jointly, joint, board, seed=seed)
         else:
             waiting = pool.submit(solve_mrcal, start, board, known, seed=seed)
-        others = [solve_opencv(start, board, known)]
+        others, missing = opencv_beside(start, board, known)
         held = record
         if joint is not None:
             held = solve_held(start, corners, board, rig)
@@ -322,12 +323,13 @@ def _checks(
         try:
             others.insert(0, waiting.result())
         except MrcalMissingError as error:
-            missing = Gate("stereo-backends", True, str(error))
-            return tuple(others), (missing, *gates)
+            alone = "; ".join([str(error), *missing])
+            return tuple(others), (Gate("stereo-backends", True, alone), *gates)
         except EstimationError as error:
             alone = f"no solution by mrcal, the cross-check is missing: {error}"
             return tuple(others), (Gate("stereo-backends", False, alone), *gates)
-    return tuple(others), (agreement_gate(record, tuple(others[:2]), start, board), *gates)
+    checks = tuple(other for other in others if other is not held)
+    return tuple(others), (agreement_gate(record, checks, start, board, missing), *gates)
 
 
 def _intrinsics(

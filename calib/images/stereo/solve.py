@@ -16,13 +16,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
-import cv2
 import numpy as np
 
-from calib.core.arrays import BoolArray, FloatArray
+from calib.core.arrays import FloatArray
 from calib.core.errors import EstimationError
 from calib.geometry.board import Board, Corners
-from calib.geometry.camera import Camera, intrinsic_vector
+from calib.geometry.camera import Camera, intrinsic_vector, project_points
 from calib.geometry.poses import (
     invert_pose,
     rotated_by_vector,
@@ -30,26 +29,14 @@ from calib.geometry.poses import (
     transform,
     transformed_by_pose,
 )
-from calib.images.bundle import (
-    Block,
-    deformed,
-    dispersion,
-    finite,
-    inverse,
-    project_points,
-    sum_blocks,
-)
-from calib.images.checks import outlier_limit
+from calib.images.bundle import Block, deformed, dispersion, finite, inverse, sum_blocks
 from calib.images.mrcal import solves
-from calib.images.mrcal.solves import MIN_CORNERS
-from calib.images.opencv import steady_opencv
 from calib.images.pairs import PairStart
-
-CRITERIA = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 1000, 1e-12)
-"""Some releases of OpenCV stop after 30 iterations by default, short of the minimum."""
-
-_REJECTION_ROUNDS = 3
-_PLUMB_BOB = 5
+from calib.images.stereo.wide import (
+    STEREOGRAPHIC,
+    any_wide,
+    as_stereographic,
+)
 
 
 @dataclass(frozen=True)
@@ -130,48 +117,6 @@ class StereoSolve:
     cameras: tuple[Camera, Camera]
 
 
-def solve_opencv(start: PairStart, board: Board, rig: CameraPair) -> StereoSolve:
-    """Solve with OpenCV's stereoCalibrate, intrinsics held, the board taken to be flat.
-
-    It has no outlier rejection, so gross outliers are left out and the rest solved again.
-
-    Raises
-    ------
-    EstimationError
-        If the pairs do not determine the pose.
-    """
-    points = board.object_points()
-    seen: BoolArray = np.asarray(finite(start.pixels).all(axis=0))
-    used = seen.copy()
-    for _ in range(_REJECTION_ROUNDS):
-        pose_12, poses = _stereo_calibrate(start, points, rig.cameras, used=used)
-        residuals = _residuals(start.pixels, points, rig.cameras, pose_12=pose_12, poses=poses)
-        size = np.abs(residuals).max(axis=(0, -1))
-        limit = outlier_limit(residuals[:, used])
-        if not np.any(used & (size > limit)):
-            break
-        used &= size <= limit
-    used[used.sum(axis=-1) < MIN_CORNERS] = False  # no pose of their own, nor a word on 1T2
-    residuals[:, ~used] = np.nan
-    solve = StereoSolve(
-        backend="opencv",
-        intrinsics="held",
-        pose_12=pose_12,
-        covariance=np.zeros((6, 6)),
-        noise_covariance=np.zeros((6, 6)),
-        dispersion=1.0,
-        by_intrinsics=np.zeros((6, 0)),
-        rms_px=float(np.sqrt(np.nanmean(residuals**2))),
-        sigma_px=0.0,
-        residuals=residuals,
-        poses=poses,
-        rejected=2 * int(seen.sum() - used.sum()),
-        board_warp_mm=None,
-        cameras=rig.cameras,
-    )
-    return with_covariance(solve, board, rig, warp_free=False)
-
-
 def solve_mrcal(start: PairStart, board: Board, rig: CameraPair, *, seed: int) -> StereoSolve:
     """Solve with mrcal, intrinsics held, deformation of the board free.
 
@@ -182,21 +127,41 @@ def solve_mrcal(start: PairStart, board: Board, rig: CameraPair, *, seed: int) -
     EstimationError
         If it fails, or the pairs do not determine the pose.
     """
-    model, count = solves.lens_model(rig.cameras)
+    wide = any_wide(rig.cameras)
+    model, count = (STEREOGRAPHIC, 0) if wide else solves.lens_model(rig.cameras)
     intrinsics = np.zeros((2, 4 + count))
     for row, camera in zip(intrinsics, rig.cameras, strict=True):
-        vector = intrinsic_vector(camera)
+        vector = intrinsic_vector(camera)[: 4 + count]
         row[: len(vector)] = vector
+    shown = start
+    if wide:
+        both = zip(rig.cameras, start.pixels, strict=True)
+        shown = replace(start, pixels=np.stack([as_stereographic(c, p) for c, p in both]))
     pose_21 = invert_pose(start.pose_12, np.zeros((6, 6)))[0]
     held = solves.Start(intrinsics, pose_21[None], start.poses)
     solution = solves.solve(
-        _as_corners(start, rig.cameras),
+        _as_corners(shown, rig.cameras),
         board,
         lens_model=model,
         seed=seed,
         held=held,
     )
-    return with_covariance(from_mrcal(solution, "held", rig.cameras), board, rig, warp_free=True)
+    solve = from_mrcal(solution, "held", rig.cameras)
+    if wide:
+        solve = _in_pictures(solve, start, board, rig)
+    return with_covariance(solve, board, rig, warp_free=True)
+
+
+def _in_pictures(
+    solve: StereoSolve, start: PairStart, board: Board, rig: CameraPair
+) -> StereoSolve:
+    """Return a solve of rays with its residuals in the pictures themselves."""
+    points = deformed(board.object_points(), solve.board_warp_mm)
+    residuals = residuals_of_pairs(
+        start.pixels, points, rig.cameras, pose_12=solve.pose_12, poses=solve.poses
+    )
+    residuals[~finite(solve.residuals)] = np.nan
+    return replace(solve, residuals=residuals, rms_px=float(np.sqrt(np.nanmean(residuals**2))))
 
 
 def joint_covariance(rig: CameraPair, solve: StereoSolve) -> FloatArray:
@@ -215,40 +180,7 @@ def joint_covariance(rig: CameraPair, solve: StereoSolve) -> FloatArray:
     return joint
 
 
-def _stereo_calibrate(
-    start: PairStart, points: FloatArray, cameras: tuple[Camera, Camera], *, used: BoolArray
-) -> tuple[FloatArray, FloatArray]:
-    """Return the pose of C2 in C1, shape (6,), and C1 from board, shape (n, 6)."""
-    views = np.flatnonzero(used.sum(axis=-1) >= MIN_CORNERS)
-    pose_21 = invert_pose(start.pose_12, np.zeros((6, 6)))[0]
-    c1, c2 = cameras
-    # Without its flag OpenCV takes k4 to k6 for 0, which of a rational lens is another lens.
-    count = max(len(camera.distortion) for camera in cameras)
-    lenses = [np.pad(camera.distortion, (0, count - len(camera.distortion))) for camera in cameras]
-    rational = cv2.CALIB_RATIONAL_MODEL if count > _PLUMB_BOB else 0
-    with steady_opencv():
-        result = cv2.stereoCalibrateExtended(
-            [points[used[i]].astype(np.float32) for i in views],
-            [start.pixels[0, i][used[i]].astype(np.float32) for i in views],
-            [start.pixels[1, i][used[i]].astype(np.float32) for i in views],
-            c1.matrix,
-            lenses[0],
-            c2.matrix,
-            lenses[1],
-            c1.image_size,
-            rotation(pose_21[:3]),
-            pose_21[3:, None].copy(),
-            flags=cv2.CALIB_FIX_INTRINSIC | cv2.CALIB_USE_EXTRINSIC_GUESS | rational,
-            criteria=CRITERIA,
-        )
-    turn, shift, turns, shifts = result[5], result[6], result[9], result[10]
-    vector = np.concatenate([cv2.Rodrigues(turn)[0].ravel(), shift.ravel()])
-    poses = np.array(start.poses)
-    poses[views] = np.concatenate([np.array(turns), np.array(shifts)], axis=1).reshape(-1, 6)
-    return invert_pose(vector, np.zeros((6, 6)))[0], poses
-
-
-def _residuals(
+def residuals_of_pairs(
     pixels: FloatArray,
     points: FloatArray,
     cameras: tuple[Camera, Camera],

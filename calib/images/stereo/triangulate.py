@@ -14,9 +14,9 @@ import numpy as np
 from calib.core.arrays import FloatArray
 from calib.core.errors import EstimationError
 from calib.geometry.board import Board
-from calib.geometry.camera import Camera, intrinsic_names, normalise
+from calib.geometry.camera import Camera, intrinsic_names, normalise, project_points
 from calib.geometry.poses import rotated_by_vector, rotation, transform, transformed_by_pose
-from calib.images.bundle import deformed, finite, inverse, project_points
+from calib.images.bundle import deformed, finite, inverse
 from calib.images.pairs import single_view_pose
 
 POSE_NAMES = ("r12.x", "r12.y", "r12.z", "t12.x", "t12.y", "t12.z")

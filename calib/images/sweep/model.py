@@ -22,10 +22,10 @@ from typing import NamedTuple
 import numpy as np
 
 from calib.core.arrays import FloatArray, IntArray
-from calib.geometry.camera import Camera, camera_from_vector, intrinsic_vector
+from calib.geometry.camera import Camera, intrinsic_vector, project_points, with_intrinsics
 from calib.geometry.parameters import ENCODER_CENTRE_RAD, PARAMETERS, EncoderTerm, Parameter
 from calib.geometry.poses import rotated_by_vector, rotation, transform, transformed_by_pose
-from calib.images.bundle import Block, finite, project_points
+from calib.images.bundle import Block, finite
 
 ENCODER: tuple[tuple[Parameter, EncoderTerm], ...] = tuple(
     (parameter, parameter.effect)
@@ -115,7 +115,7 @@ class SweepProblem:
     def camera_at(self, x: FloatArray) -> Camera:
         """Return C2 with the errors of its intrinsics put in."""
         intrinsics = intrinsic_vector(self.camera) + self.intrinsics_root @ x[self.at_intrinsics]
-        return camera_from_vector(intrinsics, self.camera.image_size)
+        return with_intrinsics(self.camera, intrinsics)
 
     def turns(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return true turns from 90 degrees, rad, shape (n,), and their derivative by `ENCODER`."""

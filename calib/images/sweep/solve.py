@@ -11,6 +11,7 @@ import numpy as np
 
 from calib.core.arrays import FloatArray, IntArray
 from calib.core.errors import EstimationError
+from calib.core.unit_diagonal import Spectrum
 from calib.geometry.board import Board, Corners
 from calib.geometry.camera import Camera
 from calib.geometry.poses import pose_matrix, pose_vector, rotation
@@ -186,12 +187,7 @@ def _same_end(pixels: FloatArray, placement: IntArray) -> FloatArray:
 
 def root_of(covariance: FloatArray) -> FloatArray:
     """Return A, shape (p, r), with A A' the covariance; r is its rank."""
-    scale = np.sqrt(np.diag(covariance))
-    scale = np.where(scale > 0, scale, 1.0)
-    value, vector = np.linalg.eigh(covariance / np.outer(scale, scale))
-    keep = value > len(value) * np.finfo(float).eps
-    root: FloatArray = scale[:, None] * vector[:, keep] * np.sqrt(value[keep])
-    return root
+    return Spectrum.of(covariance).root(least=len(covariance) * np.finfo(float).eps)
 
 
 def _in_the_right_sense(problem: SweepProblem) -> FloatArray:

@@ -1,5 +1,5 @@
 // The page: one connection, the state that comes over it, and what the buttons ask for.
-import { ask, draw } from "./pictures.js";
+import { ageOf, ask, draw } from "./pictures.js";
 import { drawScene } from "./scene.js";
 import { fillLengths, fillPositions } from "./tables.js";
 
@@ -8,11 +8,15 @@ const token = new URLSearchParams(location.search).get("token") || "";
 const query = token ? `?token=${encodeURIComponent(token)}` : "";
 let fileQuery = query; // a page of this machine needs none, and the report none of its business
 const CAMERAS = ["c1", "c2"];
+const ONCE = ["check", "pictures", "capture", "calibrate"];
 const AGAIN_MS = 1000;
 const AGAIN_PICTURE_MS = 2000;
 
 let socket = null;
 let shownDocument = "";
+let last = null; // the state that came last, with what it says of this page
+let pickFor = "target"; // the field that a click on a picture fills
+const faults = { c1: "", c2: "" };
 
 function send(command) {
   if (socket && socket.readyState === WebSocket.OPEN) socket.send(JSON.stringify(command));
@@ -40,12 +44,22 @@ function askPicture(camera) {
 }
 
 function heard(message) {
-  if (message.notice) { notice(message.notice); return; }
+  if (message.notice) {
+    notice(message.notice);
+    if (last) enable(last.state, last.page);
+    return;
+  }
+  if (message.picked) {
+    $(pickFor).value = message.picked;
+    return;
+  }
+  last = message;
   const { state, page } = message;
   $("serial").textContent = state.rig ? state.rig.serial : "";
   $("reading").textContent =
     state.turning ? "turning …" : state.reading_deg === undefined ? "–" : `${state.reading_deg.toFixed(4)}°`;
   fileQuery = page.local ? "" : query;
+  CAMERAS.forEach((camera) => { faults[camera] = state[`fault_${camera}`] || ""; });
   showRole(page);
   showJob(state);
   showSteps(state);
@@ -203,7 +217,12 @@ function enable(state, page) {
 }
 
 function asked(id, command) {
-  $(id).onclick = () => { notice(""); send(command()); };
+  $(id).onclick = () => {
+    notice("");
+    send(command());
+    // Until the next state comes, which says what may be asked for: a click that is doubled is one.
+    if (ONCE.includes(id)) $(id).disabled = true;
+  };
 }
 
 const whole = (id) => Math.round(Number($(id).value)) || 1;
@@ -215,6 +234,14 @@ asked("capture", () => ({ do: "capture", kind: $("kind").value, count: whole("ro
 asked("calibrate", () => ({ do: "calibrate" }));
 asked("gaze", () => ({ do: "gaze", count: whole("count"), target: $("target").value }));
 asked("length", () => ({ do: "length", start: $("from").value, end: $("to").value }));
+for (const id of ["target", "from", "to"]) $(id).addEventListener("focus", () => { pickFor = id; });
+for (const camera of CAMERAS) {
+  $(camera).onclick = (event) => {
+    const scale = $(camera).width / $(camera).clientWidth;
+    notice("");
+    send({ do: "pick", camera, u: event.offsetX * scale, v: event.offsetY * scale });
+  };
+}
 $("target").onchange = () => send({ do: "mark", target: $("target").value });
 $("question").onsubmit = (event) => {
   event.preventDefault();
@@ -225,6 +252,7 @@ document.addEventListener("keydown", (event) => {
 });
 // A picture that never came is asked for again: asking twice is asking once.
 setInterval(() => { if (!document.hidden) CAMERAS.forEach((camera) => send({ do: "picture", camera })); }, AGAIN_PICTURE_MS);
+setInterval(() => CAMERAS.forEach((camera) => ageOf(camera, faults[camera], $)), 1000);
 // A page that is left must not keep the motor until the connection is found dead.
 addEventListener("pagehide", () => { if (socket) { socket.onclose = null; socket.close(); } });
 $("csv").href += query;

@@ -1,5 +1,7 @@
 // A picture with its marks: centre column, target.
 const frames = { c1: 0, c2: 0 };
+const drawn = { c1: NaN, c2: NaN };
+const STALE_MS = 3000;
 let outline = null; // what a guide asks for, drawn until it asks for something else
 
 export function ask(asked) { outline = asked; }
@@ -20,17 +22,32 @@ export async function draw(data, $) {
   if (head.centre !== null) column(pen, head.centre, height, unit);
   const wanted = outline && outline.camera === head.camera ? outline : null;
   if (wanted) fillIn(pen, wanted, unit);
-  else if (head.target) mark(pen, head.target, unit);
+  else if (head.target) {
+    dots(pen, head.marks, unit);
+    mark(pen, head.target, unit);
+  }
   canvas.dataset.outline = wanted ? "yes" : "";
   frames[head.camera] += 1;
   canvas.dataset.frames = frames[head.camera];
   const age = head.age_ms + performance.now() - came;
   canvas.dataset.age = age.toFixed(1);
+  canvas.dataset.marks = head.marks.length;
   canvas.dataset.target = head.target ? head.target.join(" ") : "";
   const seen = head.target ? `target at ${head.target[0].toFixed(1)}, ${head.target[1].toFixed(1)} px` : "target not seen";
   $(`${head.camera}-text`).textContent = `${seen} · ${age.toFixed(0)} ms old`;
   canvas.setAttribute("aria-label", `Picture of ${head.camera.toUpperCase()}: ${seen}`);
+  canvas.classList.remove("stale");
+  drawn[head.camera] = performance.now();
   return head.camera;
+}
+
+// A picture that stands still must not look like one that is new.
+export function ageOf(camera, fault, $) {
+  const old = performance.now() - drawn[camera];
+  if (!(old > STALE_MS) && !fault) return;
+  $(camera).classList.toggle("stale", old > STALE_MS);
+  const since = frames[camera] ? `no new picture for ${(old / 1000).toFixed(0)} s` : "no picture yet";
+  if (fault || frames[camera]) $(`${camera}-text`).textContent = fault ? `${since}: ${fault}` : since;
 }
 
 function column(pen, u, height, unit) {
@@ -68,6 +85,16 @@ function fillIn(pen, { outline: points, first, taken }, unit) {
     pen.strokeStyle = colour;
     pen.stroke(way);
     pen.stroke(start);
+  }
+}
+
+// The points by which the target was found.
+function dots(pen, points, unit) {
+  pen.fillStyle = "rgba(224,0,127,.85)";
+  for (const [u, v] of points) {
+    pen.beginPath();
+    pen.arc(u, v, 2 * unit, 0, 2 * Math.PI);
+    pen.fill();
   }
 }
 

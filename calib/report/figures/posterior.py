@@ -8,6 +8,7 @@ from matplotlib.axis import Axis
 from matplotlib.ticker import MaxNLocator, ScalarFormatter
 
 from calib.core.arrays import FloatArray
+from calib.core.unit_diagonal import unit_diagonal
 from calib.fit.posterior import Posterior
 from calib.report.numbers import factor, plain_symbol, plus_minus, unit
 from calib.report.plotting import (
@@ -105,7 +106,6 @@ def _label(name: str) -> str:
 
 def _strongest(posterior: Posterior) -> tuple[float, tuple[str, str]]:
     """Return the correlation farthest from 0 and the two parameters it ties."""
-    std = np.sqrt(np.diag(posterior.covariance))
-    correlation = posterior.covariance / np.outer(std, std) - np.eye(len(std))
+    correlation = unit_diagonal(posterior.covariance)[1] - np.eye(len(posterior.names))
     i, j = np.unravel_index(np.argmax(np.abs(correlation)), correlation.shape)
     return float(correlation[i, j]), (posterior.names[i], posterior.names[j])

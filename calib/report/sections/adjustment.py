@@ -205,7 +205,7 @@ def _facts(a: Adjustment) -> DefinitionList:
             f"Distance of the centres at {np.degrees(record.reading_rad):.1f}°",
             f"{plus_minus(distance, u)} mm",
         ),
-        ("Bow of the board", f"{bow} mm"),
+        ("Deformation of the board", f"{bow} mm"),
         (
             "Views contradict each other",
             f"by {np.sqrt(record.factors[2]):.2f} times what corner noise explains, in the rig",

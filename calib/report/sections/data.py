@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from markupsafe import Markup
 
+from calib.geometry.lens import PROJECTIONS
 from calib.geometry.parameters import embed
 from calib.geometry.plane import OBSERVABLE
 from calib.report.blocks import (
@@ -118,7 +119,7 @@ def _effective(found: Headline) -> str:
     if found.effective is None or found.effective95 is None:
         return ""
     between = bounds(*found.effective95, found.effective[1]).text
-    return f"{plain_symbol(EFFECTIVE)} = {plus_minus(*found.effective)} mm (95 %: {between})"
+    return f"{plain_symbol(EFFECTIVE)} = {plus_minus(*found.effective)} mm\n95 %: {between} mm"
 
 
 def _scene(gaze: GazeResult, theta: np.ndarray) -> list[Block]:
@@ -129,10 +130,10 @@ def _scene(gaze: GazeResult, theta: np.ndarray) -> list[Block]:
             "rig",
             scene_data(gaze.rows, theta, depths),
             "The rig and its targets, to scale: drag or use the arrow keys to turn it, wheel or + "
-            "and − to zoom (the wheel after a click); point at a target for its place. Orange: "
-            "rays of C1; blue: the yaw axis, and lines from it to the targets; green: 95 % "
-            "ellipsoids of position at the certified depths, enlarged as written in the corner "
-            "(key M: true size).",
+            "and − to zoom (the wheel after a click); point at a target for its place, or go from "
+            "one to the next with keys N and P. Orange: rays of C1; blue: the yaw axis, and lines "
+            "from it to the targets; green: 95 % ellipsoids of position at the certified depths, "
+            "enlarged as written in the corner (key M: true size).",
         )
     ]
 
@@ -203,7 +204,9 @@ def _cameras(c: Calibration) -> Table:
                 words(f"{width} × {height}"),
                 *(decimals(float(value), 2) for value in (fx, fy, cx, cy)),
                 words(lens or "none"),
+                words(PROJECTIONS[camera.projection].words),
             )
         )
-    heads = ("Camera", "Image / px", "fx / px", "fy / px", "cx / px", "cy / px", "Lens distortion")
+    px = ("Image / px", "fx / px", "fy / px", "cx / px", "cy / px")
+    heads = ("Camera", *px, "Lens distortion", "Lens model")
     return table("Intrinsics", heads, rows, note="Lens distortion in the order of OpenCV.")

@@ -5,13 +5,15 @@ from __future__ import annotations
 import numpy as np
 from markupsafe import Markup
 
+from calib.instrument.adjusted import ADJUSTMENT
 from calib.instrument.calibrated import CalibratedInstrument, DepthTable
 from calib.report.blocks import Block, Cell, Paragraph, Section, Table, table, words
 from calib.report.context import ReportContext
 from calib.report.figures.depth import draw_depth_uncertainty
 from calib.report.numbers import bounds, decimals, digits, percent, places
 from calib.report.plotting import picture
-from calib.results.calibration import Calibration
+from calib.report.sections.pick import instrument_of_record
+from calib.results.calibration import Calibration, GazeResult
 from calib.rows.observations import GROUP_SOURCE
 from calib.uncertainty.format import widening
 
@@ -25,7 +27,7 @@ def depth(c: Calibration, _: ReportContext) -> Section | None:
         return None
     calibrated, depths = c.gaze.calibrated, c.gaze.depths
     blocks: list[Block] = [
-        Paragraph(_method(calibrated)),
+        Paragraph(_method(calibrated, c.gaze)),
         picture(
             "depth-uncertainty",
             draw_depth_uncertainty(depths, calibrated.calibrated_mm),
@@ -40,7 +42,7 @@ def depth(c: Calibration, _: ReportContext) -> Section | None:
     return Section("depth", "Depth uncertainty", tuple(blocks))
 
 
-def _method(calibrated: CalibratedInstrument) -> Markup:
+def _method(calibrated: CalibratedInstrument, gaze: GazeResult) -> Markup:
     widened = ""
     if calibrated.noise_factor > 1.005:
         widened = (
@@ -49,11 +51,18 @@ def _method(calibrated: CalibratedInstrument) -> Markup:
             "the noise scale."
         )
     return Markup(
-        "The interval comes from draws of the posterior of <em>{}</em>, each with an error of the "
+        "The interval comes from draws of the {}, each with an error of the "
         "reading: what is uncertain of the calibration and of one new reading together. The linear "
         "law of propagation (JCGM 100) stands beside it; whether its interval may be used was "
         "decided by clause 8 of JCGM 101.{}"
-    ).format(calibrated.model, widened)
+    ).format(_drawn(gaze), widened)
+
+
+def _drawn(gaze: GazeResult) -> Markup:
+    """Return of what distribution parameters are drawn."""
+    by = instrument_of_record(gaze)
+    adjusted = gaze.choice is not None and gaze.choice.method == ADJUSTMENT
+    return (Markup("parameters by {}") if adjusted else Markup("posterior of {}")).format(by)
 
 
 def _sources(depths: DepthTable) -> Table:

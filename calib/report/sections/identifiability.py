@@ -1,4 +1,4 @@
-"""What the rows can tell of the parameters, what they cannot, and what would help."""
+"""Which parameters the rows identify, which they do not, and what would help."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ from calib.report.sections.pick import selected
 from calib.results.calibration import Calibration
 from calib.uncertainty.format import significant
 
-DECIDED_BY = {"rows": "the rows", "sweep": "the sweep", "prior": "the prior"}
-"""Who decided a parameter, in the words of the report; several stand as they are."""
+IDENTIFIED_BY = {"rows": "the rows", "sweep": "the sweep", "prior": "the prior"}
+"""What identifies a parameter, in the words of the report; several stand as they are."""
 
 
 def identifiability(c: Calibration, _: ReportContext) -> Section | None:
-    """Write what the rows can tell."""
+    """Write which parameters the rows identify."""
     if c.gaze is None or not c.gaze.identifiability:
         return None
     chosen = selected(c.gaze)
@@ -45,9 +45,9 @@ def identifiability(c: Calibration, _: ReportContext) -> Section | None:
                 "the rows are. So the rows' information is taken apart into combinations of "
                 "parameters, and each is held against what is known of any rig beforehand: {} mm "
                 "of <i>L</i><sub>b</sub>, {} mrad of <i>δ</i><sub>2</sub>, of the others their "
-                "default prior. A combination is open if the rows alone say less of it than that. "
-                "This, and strong correlation, is no fault as long as depth does not hang on it: "
-                "the check is on the predicted uncertainty of depth."
+                "default prior. The rows do not identify a combination that they alone leave less "
+                "certain than that. This, and strong correlation, is no fault as long as depth "
+                "does not hang on it: the check is on the predicted uncertainty of depth."
             ).format(f"{RULER:g}", f"{RULER:g}")
         ),
         *_verdict(first),
@@ -60,10 +60,10 @@ def identifiability(c: Calibration, _: ReportContext) -> Section | None:
 
 
 def _verdict(found: Identifiability) -> list[Block]:
-    """Return what the model's rows leave open and what to do about it."""
+    """Return what the model's rows do not identify and what to do about it."""
     if not found.open:
         by = "rows and yaw sweep" if found.has_sweep else "the rows alone"
-        title = f"Nothing is left open: {by} tell all of {found.model}"
+        title = f"All parameters of {found.model} are identified by {by}"
         return [Notice("good", title, _swept(found))]
     return [
         Notice(
@@ -150,10 +150,10 @@ def _models(told: list[Identifiability], chosen: str | None) -> Table:
 
 
 def _parameters(found: Identifiability) -> Table:
-    """Return the table of a model's parameters by who knows them."""
+    """Return the table of a model's parameters by what identifies them."""
     times = np.array([factor(name) for name in found.names])
     columns = [found.scale, found.rows_std, found.std]
-    head = ["Symbol", "Unit", "Beforehand", "Rows alone", "and priors", "Decided by"]
+    head = ["Symbol", "Unit", "Beforehand", "Rows alone", "and priors", "Identified by"]
     if found.has_sweep:
         columns.insert(2, found.sweep_std)
         head.insert(4, "and sweep")
@@ -162,7 +162,7 @@ def _parameters(found: Identifiability) -> Table:
             words(symbol(name)),
             words(unit(name)),
             *(digits(float(column[i] * times[i]), 2) for column in columns),
-            decided_cell(found.decided_by[i]),
+            identified_cell(found.decided_by[i]),
         )
         for i, name in enumerate(found.names)
     ]
@@ -176,15 +176,15 @@ def _parameters(found: Identifiability) -> Table:
     )
 
 
-def decided_cell(who: str) -> Cell:
-    """Return a cell that says who decided a parameter."""
-    return words(DECIDED_BY.get(who, who), mark="bad" if who == "prior" else "")
+def identified_cell(who: str) -> Cell:
+    """Return a cell that says what identifies a parameter."""
+    return words(IDENTIFIED_BY.get(who, who), mark="bad" if who == "prior" else "")
 
 
 def _combinations(found: Identifiability) -> Table:
     """Return the table of a model's combinations."""
     head = ["Change that the rows' noise hides", "Singular value", "Rows alone"]
-    head += ["and priors", "Told by"]
+    head += ["and priors", "Identified by"]
     if found.has_sweep:
         head.insert(3, "and sweep")
     rows = []
@@ -197,7 +197,7 @@ def _combinations(found: Identifiability) -> Table:
                 words(_moved(c, found)),
                 digits(c.singular_value, 2),
                 *(digits(std, 2) for std in known),
-                decided_cell(c.told_by),
+                identified_cell(c.told_by),
             )
         )
     return table(
@@ -207,7 +207,7 @@ def _combinations(found: Identifiability) -> Table:
         note="The best known first. Parameters that move together as in the first column move by "
         "one standard deviation of the rows alone. Singular values of the rows' information, and "
         "the standard deviations, which are their inverse, are in units of what is known "
-        f"beforehand: above {UNDETERMINED:g} a combination is open.",
+        f"beforehand: above {UNDETERMINED:g} a combination is not identified by the rows.",
     )
 
 
@@ -233,8 +233,8 @@ def _caption(found: Identifiability) -> str:
     return (
         "Left: each mark is a combination of a model's parameters, placed by its standard "
         f"deviation from the rows alone; the line leads to the tick where {swept} bring it. "
-        "Hollow marks, right of the dashed line, the rows leave open. A tick that stays right of "
-        "the line, or near it, is known no better than before the calibration. Right: "
-        "correlations with all that is known. Near ±1 two parameters are known by their sum or "
-        "difference only."
+        "Hollow marks, right of the dashed line, are not identified by the rows. A tick that "
+        "stays right of the line, or near it, is known no better than before the calibration. "
+        "Right: correlations with all that is known. Near ±1 two parameters are known by their sum "
+        "or difference only."
     )

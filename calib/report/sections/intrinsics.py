@@ -6,8 +6,10 @@ import numpy as np
 
 from calib.core.arrays import FloatArray
 from calib.geometry.board import LensFit
+from calib.geometry.camera import Camera
+from calib.geometry.lens import PROJECTIONS
 from calib.images.intrinsics.calibrate import Intrinsics
-from calib.images.intrinsics.maps import fit_name
+from calib.images.intrinsics.maps import Coverage, fit_name
 from calib.report.blocks import (
     EMPTY,
     Block,
@@ -50,7 +52,9 @@ def intrinsics(c: Calibration, _: ReportContext) -> Section | None:
             "Each camera was calibrated from its pictures of the board by OpenCV and by mrcal, "
             "each with several lens models. The lens model is the simplest that no larger one "
             "beats in predicting views that were left out; rms is the root mean square residual "
-            "per coordinate, the same for all. Where there are stereo pairs, a joint solve of "
+            "per coordinate, the same for all. Where pictures show a wide lens, an equidistant "
+            "one (fisheye) is solved by this program and by OpenCV; mrcal has no such model, only "
+            "a splined one beside it. Where there are stereo pairs, a joint solve of "
             "both lenses, the pairs and the boards of the gaze rows then refines lens and pose."
         )
     ]
@@ -165,7 +169,7 @@ def _fits(i: Intrinsics) -> Table:
     rows += [
         [words("rms / px"), *(decimals(fit.rms_px, 3) for fit, _ in fits)],
         [words("Corners rejected"), *(number(str(f.rejected), f.rejected) for f, _ in fits)],
-        [words("Bow of the board / mm"), *(_bow(fit) for fit, _ in fits)],
+        [words("Deformation of the board / mm"), *(_bow(fit) for fit, _ in fits)],
     ]
     heads = ["", f"{_short(fit_name(i.selected))} (selected)"]
     heads += [_short(fit_name(fit)) for fit in i.alternatives]
@@ -175,8 +179,8 @@ def _fits(i: Intrinsics) -> Table:
         rows,
         note="Each is multiplied by a factor, that of the selected fit by "
         f"{significant(i.dispersion**0.5)}: how far the views disagree with each other, over what "
-        "the noise of their corners explains. Bow: at the middle, along the board's columns and "
-        "rows.",
+        "the noise of their corners explains. Deformation: at the middle, along the columns "
+        "and rows of the board.",
     )
 
 
@@ -203,16 +207,34 @@ def _bow(fit: LensFit) -> Cell:
     return number(f"{x}, {y}", fit.board_warp_mm[0])
 
 
+def _order(camera: Camera) -> str:
+    """Return of which lens model coefficients are."""
+    if camera.projection == "perspective":
+        return "order of OpenCV"
+    return f"{PROJECTIONS[camera.projection].words}, as cv2.fisheye has them"
+
+
 def _facts(i: Intrinsics) -> DefinitionList:
     lens = ", ".join(digits(float(k), 4).text for k in i.camera.distortion) or "none"
     return facts(
         ("Selected because", i.selection),
-        ("Lens distortion, selected", f"{lens} (order of OpenCV)"),
+        ("Lens distortion, selected", f"{lens} ({_order(i.camera)})"),
         ("Views", f"{len(i.images)}, of which {len(i.rejected_views)} rejected"),
         ("Rejected views", ", ".join(i.rejected_views)),
-        ("Coverage", f"{100 * i.coverage.share:.0f} % of the imager's cells"),
+        ("Coverage", _coverage(i.coverage)),
         ("mrcal", _mrcal(i.mrcal_version)),
     )
+
+
+def _coverage(coverage: Coverage) -> str:
+    """Return where corners were seen: a cell counts with one corner, wherever in it that is."""
+    down, across = coverage.counts.shape
+    seen = int((coverage.counts > 0).sum())
+    text = (
+        f"corners in {seen} of {down * across} cells of the imager ({across} × {down}), out to "
+        f"{100 * coverage.reach:.0f} % of its half diagonal"
+    )
+    return f"{text}; beyond, the lens model extrapolates" if coverage.reach < 1 else text
 
 
 def _difference_table(i: Intrinsics) -> Table:

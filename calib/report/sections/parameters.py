@@ -1,4 +1,4 @@
-"""The parameters of each model: estimate, uncertainty, and who decided it."""
+"""The parameters of each model: estimate, uncertainty, and what identifies it."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ from calib.report.numbers import (
     unit,
 )
 from calib.report.plotting import picture
-from calib.report.sections.identifiability import decided_cell
+from calib.report.sections.identifiability import identified_cell
 from calib.report.sections.pick import selected
 from calib.results.calibration import Calibration, GazeResult
 from calib.results.effective_baseline import effective_baseline, effective_interval
@@ -120,7 +120,7 @@ def _model(
             "Estimate ± u",
             "Unit",
             "95 % interval, equal tails",
-            "Decided by",
+            "Identified by",
             "Prior",
         ),
         rows,
@@ -129,7 +129,7 @@ def _model(
 
 
 def _tied(fit: RobustFit) -> Text:
-    """Return a note on parameters that the priors of others decided."""
+    """Return a note on parameters that the priors of others identify."""
     tied = [
         symbol(name)
         for name, who in zip(fit.names, fit.identified_by, strict=True)
@@ -137,9 +137,11 @@ def _tied(fit: RobustFit) -> Text:
     ]
     if not tied:
         return ""
+    one = ("has no prior", "its", "it")
+    forms = one if len(tied) == 1 else ("have no priors", "their", "them")
     return Markup(
-        "{} has no prior of its own: the rows tie it to parameters that the prior decides."
-    ).format(Markup(", ").join(tied))
+        "{} {} of {} own: the rows tie {} to parameters that the prior identifies."
+    ).format(Markup(" and ").join(tied), *forms)
 
 
 def _row(
@@ -159,7 +161,7 @@ def _row(
         estimate(posterior.mean[i], u, factor=times),
         words(unit(name)),
         bounds(low, high, u, factor=times),
-        decided_cell(decided_by[i]),
+        identified_cell(decided_by[i]),
         words(_prior(name, measured, context)),
     )
 

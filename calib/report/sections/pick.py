@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+from markupsafe import Markup
 
 from calib.fit.robust import RobustFit
 from calib.geometry.plane import OBSERVABLE
+from calib.instrument.adjusted import ADJUSTMENT
 from calib.report.plotting import thinned
 from calib.results.calibration import GazeResult
 
@@ -16,6 +18,13 @@ TABLE_ROWS = 200
 def selected(gaze: GazeResult) -> str | None:
     """Return the name of the model that was selected."""
     return None if gaze.comparison is None else gaze.comparison.selected
+
+
+def instrument_of_record(gaze: GazeResult) -> Markup:
+    """Return by what depths are measured and certified: a model of the rows, or the adjustment."""
+    if gaze.choice is not None and gaze.choice.method == ADJUSTMENT:
+        return Markup("the adjustment of all pictures")
+    return Markup("<em>{}</em>").format(selected(gaze) or "the rows")
 
 
 def contrasted(gaze: GazeResult) -> tuple[RobustFit, ...]:

@@ -147,7 +147,7 @@ def _table(gaze: GazeResult) -> Table:
         "Fit",
         "Standard deviation / mrad",
         "Noise scale",
-        "Parameters decided by data",
+        "Parameters identified by the data",
         "Outliers",
     )
     note = (

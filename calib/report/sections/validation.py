@@ -12,9 +12,19 @@ from calib.instrument.validation import ValidationResult, normalised_error, spre
 from calib.report.blocks import Block, Cell, Paragraph, Section, Table, Text, number, table, words
 from calib.report.context import ReportContext
 from calib.report.figures.validation import draw_agreement, draw_consistency
-from calib.report.numbers import bounds, decimals, digits, estimate, percent, places, signed
+from calib.report.numbers import (
+    bounds,
+    decimals,
+    digits,
+    estimate,
+    given,
+    percent,
+    places,
+    rounded_up,
+    with_sign,
+)
 from calib.report.plotting import picture
-from calib.report.sections.pick import contrasted, shown_rows
+from calib.report.sections.pick import contrasted, instrument_of_record, shown_rows
 from calib.results.calibration import Calibration
 from calib.results.wording import LENGTHS_NOTE
 from calib.uncertainty.evidence import Evidence
@@ -29,7 +39,7 @@ def validation(c: Calibration, context: ReportContext) -> Section | None:
     v = c.gaze.validation
     names = {"reference": context.validation_reference or "the reference"}
     blocks: list[Block] = [
-        Paragraph(_summary(v, names, c.gaze.comparison.selected)),
+        Paragraph(_summary(v, names, instrument_of_record(c.gaze))),
         _agreement(v, names),
         picture(
             "validation",
@@ -46,7 +56,7 @@ def validation(c: Calibration, context: ReportContext) -> Section | None:
     return Section("validation", "Validation", tuple(blocks))
 
 
-def _summary(v: ValidationResult, names: Mapping[str, str], model: str) -> Text:
+def _summary(v: ValidationResult, names: Mapping[str, str], by: Markup) -> Text:
     shared = any(i != k for i, k in enumerate(v.depth_of))
     borrowed = (
         " Some rows use the measured depth of another row, as the table asks (depth_row)."
@@ -55,14 +65,14 @@ def _summary(v: ValidationResult, names: Mapping[str, str], model: str) -> Text:
     )
     told = "; ".join(
         f"against {names.get(e.name, e.name)}, {significant(100 * e.rms_rel, digits=2)} % root "
-        f"mean square and {signed(f'{100 * e.mean_rel:+.2g}')} % on average"
+        f"mean square and {with_sign(100 * e.mean_rel)} % on average"
         for e in v.errors
     )
     return Markup(
-        "{} rows that no fit has seen were measured with <em>{}</em>.{} Errors of depth: {}. A "
+        "{} rows that no fit has seen were measured with {}.{} Errors of depth: {}. A "
         "calibration inherits its reference: where two references disagree with each other, it can "
         "agree with one only."
-    ).format(len(v.ids), model, borrowed, told)
+    ).format(len(v.ids), by, borrowed, told)
 
 
 def _agreement(v: ValidationResult, names: Mapping[str, str]) -> Table:
@@ -124,20 +134,20 @@ def _lengths(evidence: Evidence | None) -> list[Block]:
     rows = [
         (
             words(e.name),
-            decimals(e.reference_mm, 1),
-            estimate(e.measured_mm, e.standard_uncertainty_mm),
-            digits(e.error_mm, 2, mark=_beyond(e)),
-            digits(e.expanded_uncertainty_mm, 2),
+            given(e.reference_mm, e.standard_uncertainty_mm),
+            given(e.measured_mm, e.standard_uncertainty_mm),
+            estimate(e.error_mm, e.standard_uncertainty_mm, mark=_beyond(e)),
+            rounded_up(e.expanded_uncertainty_mm),
         )
         for e in evidence.lengths
     ]
-    heads = ("Length", "reference / mm", "measured ± u / mm", "error / mm", "U of the error / mm")
+    heads = ("Length", "reference / mm", "measured / mm", "error ± u / mm", "U of the error / mm")
     limit = evidence.length_limit
     told = LENGTHS_NOTE
     if limit is not None:
         told += (
-            f" Here A = {significant(limit.constant_mm, digits=2)} mm and "
-            f"K = {significant(limit.slope, digits=2)}."
+            f" Here A = {rounded_up(limit.constant_mm).text} mm and "
+            f"K = {rounded_up(limit.slope).text}."
         )
     return [table("Lengths between two measured points", heads, rows, note=told, sortable=True)]
 
@@ -177,5 +187,5 @@ def _row(v: ValidationResult, scores: Mapping[str, FloatArray], i: int) -> tuple
         apart = scores[e.name][i] > 1
         count = places(100 * e.error_rel)
         error = decimals(100 * e.error_rel[i], count, mark="bad" if apart else "")
-        cells += [decimals(e.reference_mm[i], 1), error]
+        cells += [given(e.reference_mm[i], p.u_mm[i]), error]
     return tuple(cells)

@@ -25,7 +25,17 @@ from calib.report.blocks import (
     words,
 )
 from calib.report.context import ReportContext
-from calib.report.numbers import EFFECTIVE, bounds, factor, plus_minus, signed, symbol, unit
+from calib.report.numbers import (
+    EFFECTIVE,
+    bounds,
+    factor,
+    plus_minus,
+    signed,
+    symbol,
+    unit,
+    with_sign,
+)
+from calib.report.prose import capital, sentence, typeset
 from calib.report.sections.contradiction import what_the_errors_do
 from calib.results.calibration import Calibration, GazeResult
 from calib.results.headline import headline
@@ -44,10 +54,10 @@ def verdict(c: Calibration, context: ReportContext) -> Section:
     if c.disagreements or c.warnings:
         blocks += [
             Paragraph(Markup("<strong>To bear in mind</strong>")),
-            Items((*c.disagreements, *c.warnings)),
+            Items(tuple(sentence(text) for text in (*c.disagreements, *c.warnings))),
         ]
     if c.gaze is not None and c.gaze.calibrated is not None:
-        blocks += _use(c.gaze.calibrated, passed=c.passed)
+        blocks += _use(c.gaze.calibrated, failed=sum(not gate.passed for gate in c.gates))
     blocks += _gates(c)
     return Section("verdict", "Verdict", tuple(blocks))
 
@@ -83,7 +93,7 @@ def _failures(c: Calibration) -> list[Block]:
     """Return the checks that failed, the one that names a cause first."""
     failed = [gate for gate in c.gates if not gate.passed]
     failed.sort(key=lambda gate: gate.name != "diagnosis")
-    return [Notice("bad", f"Failed: {gate.name}", gate.detail) for gate in failed]
+    return [Notice("bad", f"Failed: {gate.name}", sentence(gate.detail)) for gate in failed]
 
 
 def _rig(images: ImageResult) -> list[Block]:
@@ -116,7 +126,7 @@ def _gaze(gaze: GazeResult, context: ReportContext) -> list[Block]:
             Markup("Selected model{}: <strong>{}</strong>. {}.").format(
                 "" if gaze.choice is None or gaze.choice.method == ROWS else " of the gaze rows",
                 gaze.comparison.selected,
-                _capital(gaze.comparison.reason),
+                capital(gaze.comparison.reason),
             )
         ),
     ]
@@ -129,11 +139,6 @@ def _instrument(gaze: GazeResult) -> list[Block]:
     by = {ROWS: "the gaze rows", ADJUSTMENT: "the adjustment of all pictures"}[gaze.choice.method]
     words = Markup("Depths and the figures above are by <strong>{}</strong>: {}.")
     return [Paragraph(words.format(by, gaze.choice.reason))]
-
-
-def _capital(text: str) -> str:
-    """Return a sentence; names of models keep their small letters."""
-    return text if text.startswith(("base", "axis", "encoder")) else text[:1].upper() + text[1:]
 
 
 def _parameter_tiles(gaze: GazeResult) -> list[tuple[Text, Text, Text]]:
@@ -202,19 +207,20 @@ def _validation_tiles(gaze: GazeResult, context: ReportContext) -> list[tuple[Te
         (
             f"validation against {context.validation_reference or 'reference'}",
             f"{significant(100 * first.rms_rel, digits=2)} %",
-            f"error of depth, root mean square; mean {signed(f'{100 * first.mean_rel:+.2g}')} %",
+            f"error of depth, root mean square; mean {with_sign(100 * first.mean_rel)} %",
         )
     ]
 
 
-def _use(calibrated: CalibratedInstrument, *, passed: bool) -> list[Block]:
-    if not passed:
+def _use(calibrated: CalibratedInstrument, *, failed: int) -> list[Block]:
+    if failed:
+        what = "A check" if failed == 1 else f"{failed} checks"
         return [
             Paragraph(
                 Markup(
-                    "<strong>Do not use this result.</strong> A check failed; mend what it names "
-                    "and calibrate again. Until then, whatever uses this calibration says so."
-                )
+                    "<strong>Do not use this result.</strong> {} failed; mend what {} and "
+                    "calibrate again. Until then, whatever uses this calibration says so."
+                ).format(what, "it names" if failed == 1 else "they name")
             )
         ]
     low, high = calibrated.calibrated_mm
@@ -273,7 +279,7 @@ def _checks(stage: str, gates: Sequence[Gate]) -> Block:
         (
             words("passed" if gate.passed else "failed", mark="good" if gate.passed else "bad"),
             words(gate.name),
-            words(gate.detail),
+            words(typeset(gate.detail)),
         )
         for gate in gates
     ]

@@ -60,7 +60,10 @@ everything.addEventListener("click", () => {
   for (const fold of folds) fold.open = open;
   everything.textContent = open ? "Close all chapters" : "Open all chapters";
 });
-document.querySelector("nav").append(everything);
+const usage = document.createElement("p");
+usage.className = "usage";
+usage.textContent = "Point at a mark in a figure for its value, click to enlarge. By keyboard: Tab, \u2190 and \u2192, Enter.";
+document.querySelector("nav").append(everything, usage);
 
 // Every table as CSV, numbers with all their digits; a cue beside what is wider than the window.
 const plain = (text) => text.replace(/\s+/g, " ").trim().replace(/\u2212/g, "-");
@@ -98,7 +101,8 @@ for (const box of document.querySelectorAll(".scroll")) {
   }).observe(box);
 }
 
-// Values under the pointer, and figures and pictures enlarged: wheel or +/- to zoom, drag to move.
+// Values under the pointer or by the arrow keys, and figures and pictures enlarged: wheel or +/- to
+// zoom, drag or arrow keys to move.
 const tip = document.createElement("div");
 tip.className = "tip";
 tip.hidden = true;
@@ -112,6 +116,30 @@ const drawn = (image) => {
   const height = width / natural;
   return { left: frame.left + (frame.width - width) / 2, top: frame.top + (frame.height - height) / 2, width, height };
 };
+const tell = (text, x, y, where = document.body) => {
+  tip.textContent = text;
+  tip.hidden = false;
+  where.append(tip);
+  tip.style.left = `${Math.max(Math.min(x + 12, innerWidth - tip.offsetWidth - 4), 4)}px`;
+  tip.style.top = `${Math.max(Math.min(y + 12, innerHeight - tip.offsetHeight - 4), 4)}px`;
+};
+// Step from mark to mark of a figure, from left to right; return whether the key was for that.
+const stepper = (image, points) => {
+  let place = -1;
+  let order = null;
+  return (event) => {
+    const by = { ArrowRight: 1, ArrowLeft: -1 }[event.key];
+    const all = [...points];
+    if (!by || !all.length) return false;
+    if (order === null || order.length !== all.length) order = all.sort((a, b) => a[0] - b[0] || a[1] - b[1]);
+    place = place < 0 && by < 0 ? order.length - 1 : (place + by + order.length) % order.length;
+    const [x, y, text] = order[place];
+    const box = drawn(image);
+    event.preventDefault();
+    tell(text, box.left + x * box.width, box.top + y * box.height, image.closest("dialog") || document.body);
+    return true;
+  };
+};
 const hover = (image, points) => {
   image.addEventListener("pointermove", (event) => {
     const box = drawn(image);
@@ -122,11 +150,7 @@ const hover = (image, points) => {
       if (away < least) [least, best] = [away, text];
     }
     tip.hidden = best === null;
-    if (best === null) return;
-    tip.textContent = best;
-    (image.closest("dialog") || document.body).append(tip);
-    tip.style.left = `${Math.min(event.clientX + 12, innerWidth - tip.offsetWidth - 4)}px`;
-    tip.style.top = `${Math.min(event.clientY + 12, innerHeight - tip.offsetHeight - 4)}px`;
+    if (best !== null) tell(best, event.clientX, event.clientY, image.closest("dialog") || document.body);
   });
   image.addEventListener("pointerleave", () => { tip.hidden = true; });
 };
@@ -138,7 +162,9 @@ shut.type = "button";
 shut.textContent = "Close";
 shut.addEventListener("click", () => dialog.close());
 const what = document.createElement("p");
-dialog.append(shut, what);
+const keysOf = document.createElement("small");
+keysOf.textContent = "+ and \u2212 zoom, arrow keys step through the values or, once enlarged, move; Esc closes";
+dialog.append(shut, what, keysOf);
 document.body.append(dialog);
 const view = { scale: 1, x: 0, y: 0 };
 const place = () => {
@@ -164,7 +190,16 @@ dialog.addEventListener("keydown", (event) => {
   const middle = [large.clientWidth / 2, large.clientHeight / 2];
   if (event.key === "+") zoom(1.25, ...middle);
   if (event.key === "-") zoom(0.8, ...middle);
+  const [x, y] = { ArrowLeft: [1, 0], ArrowRight: [-1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] }[event.key] || [0, 0];
+  if (view.scale === 1) step(event);
+  else if (x || y) {
+    event.preventDefault();
+    view.x += 80 * x;
+    view.y += 80 * y;
+    place();
+  }
 });
+dialog.addEventListener("close", () => { tip.hidden = true; });
 large.addEventListener("pointerdown", (event) => {
   event.preventDefault();
   large.setPointerCapture(event.pointerId);
@@ -177,10 +212,13 @@ large.addEventListener("pointermove", (event) => {
 });
 let current = [];
 hover(large, { *[Symbol.iterator]() { yield* current; } });
+let step = () => false;
 const enlarge = (image, words) => {
   Object.assign(view, { scale: 1, x: 0, y: 0 });
   place();
   current = pointsOf(image);
+  step = stepper(large, current);
+  tip.hidden = true;
   large.src = image.dataset.large || image.src;
   large.alt = image.alt;
   what.textContent = words;
@@ -188,13 +226,18 @@ const enlarge = (image, words) => {
   dialog.showModal();
 };
 for (const image of document.querySelectorAll("figure img")) {
-  hover(image, pointsOf(image));
+  const points = pointsOf(image);
+  const along = stepper(image, points);
+  hover(image, points);
   const words = image.closest("li") ? image.closest("li").textContent : "";
   image.classList.add("zoom");
   image.tabIndex = 0;
   image.setAttribute("role", "button");
   image.addEventListener("click", () => enlarge(image, words));
+  image.addEventListener("blur", () => { tip.hidden = true; });
   image.addEventListener("keydown", (event) => {
+    if (along(event)) return;
+    if (event.key === "Escape") tip.hidden = true;
     if (event.key === "Enter" || event.key === " ") {
       event.preventDefault();
       enlarge(image, words);
@@ -216,7 +259,7 @@ for (const canvas of document.querySelectorAll("canvas[data-scene]")) {
   const wanted = Math.max(size / 12 / longest, 1);
   const power = 10 ** Math.floor(Math.log10(wanted));
   const enlarged = power * [5, 2, 1].find((step) => step * power <= wanted);
-  const look = { turn: -0.5, tilt: 0.6, zoom: 1.3, times: enlarged };
+  const look = { turn: -0.5, tilt: 0.6, zoom: 1, times: enlarged };
   canvas.look = look;
   let seen = [];
   const project = (p) => {
@@ -226,6 +269,9 @@ for (const canvas of document.querySelectorAll("canvas[data-scene]")) {
     const scale = (0.8 * Math.min(canvas.width, canvas.height) * look.zoom) / size;
     return [canvas.width / 2 + scale * across, canvas.height / 2 + scale * (cp * y - sp * away)];
   };
+  // At first all of it is seen, with room for names.
+  const reached = every.map(project).map(([x, y]) => [Math.abs(x - canvas.width / 2), Math.abs(y - canvas.height / 2)]);
+  look.zoom = 0.44 * Math.min(...[canvas.width, canvas.height].map((side, i) => side / Math.max(...reached.map((r) => r[i]), 1)));
   const line = (points, colour, width = 1) => {
     pen.strokeStyle = colour;
     pen.lineWidth = width;
@@ -288,12 +334,17 @@ for (const canvas of document.querySelectorAll("canvas[data-scene]")) {
     const [x, y] = [(event.clientX - box.left) * (canvas.width / box.width), (event.clientY - box.top) * (canvas.height / box.height)];
     const near = seen.find(([px, py]) => Math.hypot(px - x, py - y) < 12);
     tip.hidden = !near;
-    if (!near) return;
-    tip.textContent = near[2];
-    document.body.append(tip);
-    tip.style.left = `${Math.min(event.clientX + 12, innerWidth - tip.offsetWidth - 4)}px`;
-    tip.style.top = `${event.clientY + 12}px`;
+    if (near) tell(near[2], event.clientX, event.clientY);
   });
+  let named = -1;
+  const name = (by) => {
+    if (!seen.length) return;
+    named = named < 0 && by < 0 ? seen.length - 1 : (named + by + seen.length) % seen.length;
+    const [x, y, text] = seen[named];
+    const box = canvas.getBoundingClientRect();
+    tell(text, box.left + (x * box.width) / canvas.width, box.top + (y * box.height) / canvas.height);
+  };
+  canvas.addEventListener("blur", () => { tip.hidden = true; });
   canvas.addEventListener("pointerleave", () => { tip.hidden = true; });
   canvas.addEventListener("wheel", (event) => {
     if (document.activeElement !== canvas) return;
@@ -306,7 +357,9 @@ for (const canvas of document.querySelectorAll("canvas[data-scene]")) {
     "+": () => zoomBy(1.15), "-": () => zoomBy(0.87),
     m: () => { look.times = look.times === 1 ? enlarged : 1; draw(); },
   };
-  keys.M = keys.m;
+  keys.n = () => name(1);
+  keys.p = () => name(-1);
+  for (const key of "mnp") keys[key.toUpperCase()] = keys[key];
   canvas.addEventListener("keydown", (event) => {
     if (!keys[event.key]) return;
     event.preventDefault();

@@ -47,15 +47,23 @@ def camera_matrix(camera: Camera) -> dict[str, Any]:
         "matrix": matrix(camera.matrix),
         "distortion": vector(camera.distortion),
         "image_size": camera.image_size,
+        "projection": None if camera.projection == "perspective" else camera.projection,
     }
 
 
-def _given(camera: Camera, covariance: FloatArray) -> document.Intrinsics:
+def _name(camera: Camera) -> str:
+    """Return the name of a lens that is given."""
+    if camera.projection != "perspective":
+        return camera.projection
     count = len(camera.distortion)
+    return f"OPENCV{count}" if count else "PINHOLE"
+
+
+def _given(camera: Camera, covariance: FloatArray) -> document.Intrinsics:
     known = bool(covariance.any())
     return document.Intrinsics(
         source="given",
-        lens_model=f"OPENCV{count}" if count else "PINHOLE",
+        lens_model=_name(camera),
         std=vector(np.sqrt(np.diag(covariance))) if known else None,
         covariance=matrix(covariance) if known else None,
         **camera_matrix(camera),

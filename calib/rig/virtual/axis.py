@@ -31,6 +31,8 @@ ANSWER_S: Final = 0.001
 LOST_FULL_STEPS: Final = 4
 """A motor that falls out of step locks in again four full steps, one electrical turn, further."""
 
+NS_PER_H: Final = 3600 * NS_PER_S
+
 HOMING_ERROR_STEPS: Final = 0.3
 HOMING_ERROR_COUNTS: Final = 0.5
 """Standard deviations of where a switch finds the mark, and an encoder its index."""
@@ -160,7 +162,8 @@ def open_axis(settings: Mapping[str, Any]) -> YawAxis:
     world: World = settings["world"]
     section = world.settings.axis
     motor = mechanics(section, world.settings.virtual)
-    world.turn_by(motor.yaw)
+    begun, drift = world.clock.now_ns(), math.radians(world.settings.virtual.drift_deg_h)
+    world.turn_by(lambda moment: motor.yaw(moment) + drift * (moment - begun) / NS_PER_H)
     controller = VirtualController(motor, world.settings.virtual, section, world.clock)
     low, high = section.range_deg
     scale = AxisScale(

@@ -71,8 +71,8 @@ class Operator:
         """Reading, whole counts, at which C2 sees the middle of the working depths, rad."""
         return held_reading(self._world.rig, self._world.rig.depth_range_mm)
 
-    def show_gaze(self, depth_range_mm: tuple[float, float] | None = None) -> None:
-        """Put the board at the next place where both cameras see all of it."""
+    def show_gaze(self, depth_range_mm: tuple[float, float] | None = None) -> FloatArray:
+        """Put the board at the next place where both cameras see all of it; return its pose."""
         near, far = depth_range_mm or self._world.rig.depth_range_mm
         place = next(self._order) * SLICES
         low = near + (far - near) * int(place) / SLICES
@@ -85,6 +85,8 @@ class Operator:
             held=self._held,
         )
         self.put(poses[0])
+        pose: FloatArray = poses[0]
+        return pose
 
     def show_plate(self, depth_range_mm: tuple[float, float] | None = None) -> None:
         """Put the plate up so that C1 sees both its upper corners, at different depths.

@@ -47,6 +47,8 @@ class Faults(Section):
         The encoder counts the other way.
     moving_share
         Gazes during which the target is moved.
+    drift_deg_h
+        The zero of the readings wanders by so much in an hour, as a mount that warms up lets it.
     """
 
     latency_frames: Count = 0
@@ -64,6 +66,7 @@ class Faults(Section):
     truncated: bool = False
     reversed: bool = False
     moving_share: Share = 0.0
+    drift_deg_h: Number = 0.0
 
 
 class VirtualSettings(Faults):

@@ -20,6 +20,7 @@ import numpy as np
 
 from calib.core.arrays import FloatArray
 from calib.dataset.board_section import board_of
+from calib.dataset.lens_section import camera_section, stated_camera
 from calib.geometry.board import Board
 from calib.geometry.camera import Camera
 from calib.geometry.mirror import SIGN
@@ -198,7 +199,7 @@ class World:
             return
         rig = self.rig
         cameras = {
-            name: {"matrix": camera.matrix.tolist(), "distortion": camera.distortion.tolist()}
+            name: {k: v for k, v in camera_section(camera).items() if k != "image_size"}
             for name, camera in (("c1", rig.c1), ("c2", rig.c2))
         }
         self.note(
@@ -249,9 +250,7 @@ def true_rig(settings: RigSettings) -> Rig:
 
 
 def _given(section: CameraSection, drawn: Camera) -> Camera:
-    if section.matrix is None:
-        return drawn
-    return Camera(np.array(section.matrix), np.array(section.distortion), drawn.image_size)
+    return stated_camera(section, drawn.image_size) or drawn
 
 
 def _board(settings: RigSettings, rig: Rig) -> Board:

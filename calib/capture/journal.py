@@ -1,0 +1,46 @@
+"""What the journal of a capture says of rows and returns beyond their tables."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping
+from typing import Any
+
+from calib.gaze.row import GazeRow, Seen
+
+
+def row_journal(row: GazeRow, kept: Mapping[str, Seen]) -> dict[str, Any]:
+    """Return what the journal says of a row beyond the table."""
+    standing = row.standstill
+    return {
+        "time": now(),
+        "standstill": {
+            "reading_deg": math.degrees(standing.reading_rad),
+            "counts": standing.counts,
+            "source": standing.source,
+            "approached": standing.approached,
+            "home": standing.home,
+            "since_ns": standing.since_ns,
+        },
+        "pixel_c1": row.pixel_c1.tolist(),
+        "pixel_c2": row.pixel_c2.tolist(),
+        "u_c1_px": row.u_c1_px,
+        "u_c2_px": row.u_c2_px,
+        "frames": {
+            role: {
+                "serial": seen.frame.serial,
+                "exposed_ns": seen.frame.exposed_ns,
+                "sure": seen.frame.sure,
+                "age_ms": round(seen.age_ms, 3),
+            }
+            for role, seen in kept.items()
+        },
+        "moves": row.moves,
+        "looks": row.looks,
+    }
+
+
+def now() -> str:
+    """Return the time of day."""
+    return time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())

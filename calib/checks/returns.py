@@ -1,0 +1,21 @@
+"""Gate on the returns to the first target: the zero stood still while the rows were taken."""
+
+from __future__ import annotations
+
+from calib.core.gate import Gate
+from calib.dataset.contents import Dataset
+from calib.instrument.returns import control_of, control_words
+
+
+def returns_gates(dataset: Dataset) -> tuple[Gate, ...]:
+    """Return the gate of a dataset's returns; none where C2 never returned."""
+    if dataset.returns is None or not len(dataset.returns):
+        return ()
+    found = control_of(dataset.returns, dataset.manifest.encoder)
+    return (
+        Gate(
+            "returns",
+            passed=found.first_alarm is None,
+            detail=control_words(dataset.returns, dataset.manifest.encoder),
+        ),
+    )

@@ -24,8 +24,9 @@ from calib.dataset.contents import Dataset
 from calib.dataset.given_lens import given_lens_covariance
 from calib.dataset.tables import LengthTable
 from calib.diagnosis.correction import correct_rows
-from calib.diagnosis.engine import Attempt, diagnose
+from calib.diagnosis.findings import Attempt
 from calib.diagnosis.independent import diagnose_references
+from calib.diagnosis.second import diagnose
 from calib.diagnosis.session import row_history
 from calib.fit.compare import compare_models
 from calib.fit.convex import fit_convex

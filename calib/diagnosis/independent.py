@@ -19,7 +19,8 @@ from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
 from calib.core.arrays import FloatArray, IntArray
 from calib.dataset.tables import LengthTable
-from calib.diagnosis.engine import AS_GOOD, DECISIVE, Attempt, Cause, Diagnosis
+from calib.diagnosis.engine import AS_GOOD
+from calib.diagnosis.findings import Attempt, Cause, Diagnosis
 from calib.diagnosis.hypotheses import HYPOTHESES
 from calib.fit.priors import NOISE_SCALE_PRIOR
 from calib.fit.robust import RobustFit
@@ -33,6 +34,9 @@ from calib.rows.observations import Observations
 
 LEAST = 3
 """Independent depths and lengths from which mistakes are told by them."""
+
+LEAST_GAIN = 2.0
+"""Evidence from which a mistake is named, nats."""
 
 MOST_ROWS = 200
 """Validation rows looked at: of a longer table so many, evenly."""
@@ -116,7 +120,7 @@ def diagnose_references(
     ranked = sorted((t for t in trials if t is not None), key=lambda t: -t.attempt.gain)
     if not ranked:
         return found
-    least = max(DECISIVE, ranked[0].attempt.gain - AS_GOOD)
+    least = max(LEAST_GAIN, ranked[0].attempt.gain - AS_GOOD)
     causes = tuple(t.cause(seen, depths) for t in ranked if t.attempt.gain >= least)
     return replace(
         found,

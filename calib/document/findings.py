@@ -30,6 +30,9 @@ class CausePart(Part):
     remedy: str = Field(description="what to do")
     fits_as_well: tuple[str, ...] = Field(description="causes that explain the rows about as well")
     told_apart_by: str = Field(description="what would tell it from the causes that fit as well")
+    beside: str | None = Field(
+        None, description="first cause, where this one shows once the first is allowed for"
+    )
 
 
 class CorrectionPart(Part):

@@ -16,13 +16,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.core.arrays import FloatArray
+from calib.core.arrays import FloatArray, IntArray
 from calib.core.errors import EstimationError
 from calib.geometry.misclosure import misclosure
-from calib.geometry.parameters import vector
+from calib.geometry.parameters import embed, vector
 from calib.rows.observations import Observations
 
 MINIMUM_ROWS = 3
+
+_TOO_FEW = "{} rows cannot determine {} unknowns; add gaze rows"
+_UNDETERMINED = (
+    "the gaze rows do not determine baseline and encoder zero: all lie at one place; "
+    "add targets at other depths and other yaw angles"
+)
 
 
 @dataclass(frozen=True)
@@ -69,15 +75,10 @@ def _cotangent(rows: Observations) -> FloatArray:
 
 def _solve(matrix: FloatArray, right: FloatArray) -> FloatArray:
     if len(right) < matrix.shape[1]:
-        raise EstimationError(
-            f"{len(right)} rows cannot determine {matrix.shape[1]} unknowns; add gaze rows"
-        )
+        raise EstimationError(_TOO_FEW.format(len(right), matrix.shape[1]))
     solution, _, rank, _ = np.linalg.lstsq(matrix, right)
     if rank < matrix.shape[1]:
-        raise EstimationError(
-            "the gaze rows do not determine baseline and encoder zero: all lie at one place; "
-            "add targets at other depths and other yaw angles"
-        )
+        raise EstimationError(_UNDETERMINED)
     return np.asarray(solution, dtype=np.float64)
 
 
@@ -135,39 +136,110 @@ def fit_bilinear(rows: Observations, weights: FloatArray, *, axis_z: bool) -> Fl
     weights
         1 / sigma of the misclosure of each row, shape (n,); zero leaves a row out.
     axis_z
-        Whether Z_a is free. Without it B = A T ties the unknowns, and one Gauss-Newton step from
-        the untied solution restores the tie.
+        Whether Z_a is free. Without it B = A T ties the unknowns, and Gauss-Newton steps from the
+        untied solution restore the tie.
 
     Raises
     ------
     EstimationError
         If the rows do not determine the unknowns.
     """
-    c, x, z = _cotangent(rows), rows.x1c, rows.z_mm
-    # sin(a) turns the cotangent form into the misclosure, whose sigma the weights are.
-    w = weights * np.sin(rows.alpha2_rad + rows.gaze_residual_rad)
-    if axis_z:
-        matrix = np.stack([1 - x * c, 1 / z, c / z], axis=1)
-        tangent, a, b = _solve(w[:, None] * matrix, w * (c + x))
-        baseline = (a + b * tangent) / (1 + tangent**2)
-        offset = (b - a * tangent) / (1 + tangent**2)
-    else:
-        offset = 0.0
-        tangent, baseline = _solve(w[:, None] * np.stack([1 - x * c, 1 / z], axis=1), w * (c + x))
+    count, unknowns = len(rows), 3 if axis_z else 2
+    if count < unknowns:
+        raise EstimationError(_TOO_FEW.format(count, unknowns))
+    solved = Bilinear.of(rows).solve(weights, np.arange(count)[None], axis_z=axis_z)
+    if np.isnan(solved).any():
+        raise EstimationError(_UNDETERMINED)
+    theta: FloatArray = parameters_of(solved)[0]
+    return theta
+
+
+@dataclass(frozen=True)
+class Bilinear:
+    """Rows as equations that are linear in T, A and B, for many solutions at once.
+
+    Parameters
+    ----------
+    columns
+        What T, A and B are multiplied with, shape (n, 3); times sin(a), which turns the cotangent
+        form into the misclosure.
+    right
+        The right sides, shape (n,), times the same.
+    """
+
+    columns: FloatArray
+    right: FloatArray
+
+    @classmethod
+    def of(cls, rows: Observations) -> Bilinear:
+        """Return the equations of rows."""
+        c, x, z = _cotangent(rows), rows.x1c, rows.z_mm
+        sine = np.sin(rows.alpha2_rad + rows.gaze_residual_rad)
+        columns = np.stack([1 - x * c, 1 / z, c / z], axis=1)
+        return cls(sine[:, None] * columns, sine * (c + x))
+
+    def solve(self, weights: FloatArray, chosen: IntArray, *, axis_z: bool) -> FloatArray:
+        """Return the least-squares solutions (T, L_b, Z_a), shape (k, 3), of some rows each.
+
+        Of rows that do not determine one it is NaN.
+
+        Parameters
+        ----------
+        weights
+            Of all rows, shape (n,).
+        chosen
+            Places of the rows of each solution, shape (k, m).
+        """
+        w = weights[chosen]
+        matrix, right = w[..., None] * self.columns[chosen], w * self.right[chosen]
+        solved = np.zeros((len(chosen), 3))
+        if axis_z:
+            tangent, a, b = _least_squares(matrix, right).T
+            solved[:, 0] = tangent
+            solved[:, 1] = (a + b * tangent) / (1 + tangent**2)
+            solved[:, 2] = (b - a * tangent) / (1 + tangent**2)
+            return solved
+        solved[:, :2] = _least_squares(matrix[..., :2], right)
         for _ in range(20):
-            step = _tied_step(w, c, x, z, tangent=tangent, baseline=baseline)
-            tangent, baseline = tangent + step[0], baseline + step[1]
-            if abs(step[0]) < 1e-13 and abs(step[1]) < 1e-10:
+            # (c + x) = T (1 - x c) + L (1 + c T) / z, linearised in T and L.
+            tangent, baseline = solved[:, 0, None], solved[:, 1, None]
+            ahead = matrix[..., 1] + tangent * matrix[..., 2]
+            miss = right - tangent * matrix[..., 0] - baseline * ahead
+            slope = np.stack([matrix[..., 0] + baseline * matrix[..., 2], ahead], axis=-1)
+            step = _least_squares(slope, miss)
+            solved[:, :2] += step
+            if not (np.abs(step) > (1e-13, 1e-10)).any():
                 break
-    return vector(
-        {"baseline_mm": baseline, "delta2_rad": float(np.arctan(tangent)), "axis_z_mm": offset}
-    )
+        return solved
+
+    def misclosures(self, solved: FloatArray) -> FloatArray:
+        """Return the misclosures of all rows by each solution (T, L_b, Z_a), shape (k, n)."""
+        tangent, baseline, axis_z = solved.T
+        unknowns = np.stack([tangent, baseline - axis_z * tangent, baseline * tangent + axis_z])
+        misses: FloatArray = unknowns.T @ self.columns.T - self.right
+        misses /= np.sqrt(1 + tangent**2)[:, None]
+        return misses
 
 
-def _tied_step(
-    w: FloatArray, c: FloatArray, x: FloatArray, z: FloatArray, *, tangent: float, baseline: float
-) -> FloatArray:
-    """Return the Gauss-Newton step of (T, L) for (c + x) = T (1 - x c) + L (1 + c T) / z."""
-    miss = (c + x) - tangent * (1 - x * c) - baseline * (1 + c * tangent) / z
-    slope = np.stack([(1 - x * c) + baseline * c / z, (1 + c * tangent) / z], axis=1)
-    return _solve(w[:, None] * slope, w * miss)
+def parameters_of(solved: FloatArray) -> FloatArray:
+    """Return full parameter vectors, shape (k, COUNT), of solutions (T, L_b, Z_a)."""
+    tangent, baseline, axis_z = solved.T
+    free = np.stack([baseline, np.arctan(tangent), axis_z], axis=1)
+    return embed(free, ("baseline_mm", "delta2_rad", "axis_z_mm"))
+
+
+def _least_squares(matrix: FloatArray, right: FloatArray) -> FloatArray:
+    """Return solutions, shape (k, p), of systems (k, m, p), NaN where one has not full rank.
+
+    As `numpy.linalg.lstsq`, which takes one system at a time.
+    """
+    k, m, p = matrix.shape
+    solution = np.full((k, p), np.nan)
+    sound = np.isfinite(matrix).all(axis=(1, 2))
+    if m < p or not sound.any():
+        return solution
+    u, s, vt = np.linalg.svd(matrix[sound], full_matrices=False)
+    s[s[:, -1] <= m * np.finfo(np.float64).eps * s[:, 0]] = np.nan
+    along = np.einsum("kmp,km->kp", u, right[sound]) / s
+    solution[sound] = np.einsum("kpq,kp->kq", vt, along)
+    return solution

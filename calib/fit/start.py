@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from calib.core.arrays import FloatArray
-from calib.core.errors import EstimationError
-from calib.fit.linear import fit_bilinear
+from calib.fit.linear import Bilinear, fit_bilinear, parameters_of
 from calib.fit.noise import log_density, row_noise
 from calib.geometry.misclosure import misclosure_value
 from calib.geometry.parameters import vector
@@ -55,27 +54,20 @@ def _best_log_density(standardised: FloatArray) -> float:
 def _trimmed(rows: Observations, sigma: FloatArray, *, axis_z: bool) -> FloatArray | None:
     """Return the least-trimmed-squares estimate, or None where no triple determines one."""
     count = len(rows)
-    half = (count + 4) // 2
+    half = min((count + 4) // 2, count)
     # A fixed design: the same table always gets the same start.
     design = np.random.default_rng(0)
-    best, best_cost = None, np.inf
     drawn = [design.choice(count, size=min(3, count), replace=False) for _ in range(TRIMMED_STARTS)]
     # Of few rows there are few triples.
-    for triple in {frozenset(triple.tolist()): triple for triple in drawn}.values():
-        keep = triple
-        try:
-            for _ in range(CONCENTRATION_STEPS):
-                weights = np.zeros(count)
-                weights[keep] = 1 / sigma[keep]
-                theta = fit_bilinear(rows, weights, axis_z=axis_z)
-                square = _misses(theta, rows, sigma) ** 2
-                keep = np.argpartition(square, half - 1)[:half]
-        except EstimationError:
-            continue
-        cost = float(square[keep].sum())
-        if cost < best_cost:
-            best, best_cost = theta, cost
-    return best
+    keep = np.array(list({frozenset(triple.tolist()): triple for triple in drawn}.values()))
+    equations = Bilinear.of(rows)
+    for _ in range(CONCENTRATION_STEPS):
+        solved = equations.solve(1 / sigma, keep, axis_z=axis_z)
+        solved = solved[np.isfinite(solved).all(axis=1)]
+        square = (equations.misclosures(solved) / sigma) ** 2
+        keep = np.argpartition(square, half - 1, axis=1)[:, :half]
+    cost = np.take_along_axis(square, keep, axis=1).sum(axis=1)
+    return parameters_of(solved)[np.argmin(cost)] if len(cost) else None
 
 
 def find_start(rows: Observations, *, axis_z: bool) -> FloatArray:

@@ -24,7 +24,6 @@ from types import MappingProxyType
 from typing import Final, Literal, NamedTuple
 
 import numpy as np
-from numpy.polynomial import Polynomial
 
 from calib.core.arrays import BoolArray, FloatArray
 
@@ -97,7 +96,7 @@ def _perspective(matrix: FloatArray, lens: FloatArray, points: FloatArray) -> Pr
 def _perspective_limit(lens: FloatArray) -> float:
     """Return the tangent r where the slope of r N(r^2) / D(r^2), or D, first vanishes."""
     numerator, denominator = _rational(lens)
-    s = Polynomial([0.0, 1.0])
+    s = np.polynomial.Polynomial([0.0, 1.0])
     growth = (numerator + 2 * s * numerator.deriv()) * denominator - (
         2 * s * numerator * denominator.deriv()
     )
@@ -113,11 +112,13 @@ def _perspective_tangent(lens: FloatArray, radius: FloatArray, limit: float) -> 
     return _bisected(is_short, radius, min(limit, TANGENT_MAX))
 
 
-def _rational(lens: FloatArray) -> tuple[Polynomial, Polynomial]:
+def _rational(lens: FloatArray) -> tuple[np.polynomial.Polynomial, np.polynomial.Polynomial]:
     """Return N and D of the radial factor as polynomials in the squared tangent."""
     k = np.zeros(8)
     k[: len(lens[:8])] = lens[:8]
-    return Polynomial([1, k[0], k[1], k[4]]), Polynomial([1, k[5], k[6], k[7]])
+    return np.polynomial.Polynomial([1, k[0], k[1], k[4]]), np.polynomial.Polynomial(
+        [1, k[5], k[6], k[7]]
+    )
 
 
 def _equidistant(matrix: FloatArray, lens: FloatArray, points: FloatArray) -> Projected:
@@ -153,13 +154,13 @@ def _equidistant(matrix: FloatArray, lens: FloatArray, points: FloatArray) -> Pr
 
 def _equidistant_limit(lens: FloatArray) -> float:
     """Return the tangent of the angle at which the image height ceases to grow."""
-    growth = Polynomial([1.0, *(lens * np.arange(3, 3 + 2 * len(lens), 2))])
+    growth = np.polynomial.Polynomial([1.0, *(lens * np.arange(3, 3 + 2 * len(lens), 2))])
     angle = np.sqrt(_first_root(growth))
     return float(np.tan(angle)) if angle < np.pi / 2 else float("inf")
 
 
 def _equidistant_tangent(lens: FloatArray, radius: FloatArray, limit: float) -> FloatArray:
-    height = Polynomial([1.0, *lens])
+    height = np.polynomial.Polynomial([1.0, *lens])
 
     def is_short(middle: FloatArray) -> BoolArray:
         return np.asarray(middle * height(middle**2) < radius)
@@ -180,7 +181,7 @@ def _bisected(
     return low
 
 
-def _first_root(*polynomials: Polynomial) -> float:
+def _first_root(*polynomials: np.polynomial.Polynomial) -> float:
     """Return the smallest positive real root, infinite if there is none."""
     # A leading coefficient of exactly 0 would make the companion matrix infinite.
     roots = np.concatenate([p.trim().roots() for p in polynomials])

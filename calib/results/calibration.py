@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from calib.core.arrays import FloatArray
 from calib.core.gate import Gate
 from calib.dataset.manifest import Rig
-from calib.diagnosis.engine import Attempt, Diagnosis
+from calib.diagnosis.findings import Attempt, Diagnosis
 from calib.fit.compare import Comparison
 from calib.fit.convex import ConvexFit
 from calib.fit.group_check import GroupCheck

@@ -60,7 +60,11 @@ def mix_depths(
     """
     mean, variance = mix_moments(weights, z, u**2)
     spread = factor95[:, None] / NORMAL_FACTOR * u / z**2
-    near, far = (_quantile(weights, 1 / z, spread, level) for level in (0.975, 0.025))
+    if len(weights) == 1:
+        half = NORMAL_FACTOR * spread[0]
+        near, far = 1 / z[0] + half, 1 / z[0] - half
+    else:
+        near, far = (_quantile(weights, 1 / z, spread, level) for level in (0.975, 0.025))
     with np.errstate(divide="ignore"):
         high = np.where(far > 0, 1 / far, np.inf)
     return MixedDepths(z_mm=mean, u_mm=np.sqrt(variance), low95_mm=1 / near, high95_mm=high)

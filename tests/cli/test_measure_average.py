@@ -5,6 +5,8 @@ from __future__ import annotations
 import csv
 import io
 import json
+import subprocess
+import sys
 from math import cos, hypot, radians, sin, sqrt
 from pathlib import Path
 from typing import Any
@@ -209,3 +211,19 @@ def test_damaged_shares_are_refused(
     ended = call(capsys, "measure", written(tmp_path, document), table)
     assert ended.status == 2
     assert words in ended.err
+
+
+def test_measuring_loads_no_library_that_it_does_not_need(tmp_path: Path, table: Path) -> None:
+    """One row is answered at once; all models are asked, but only one carries weight."""
+    document = calibration("axis-offset")
+    for share, weight in zip(document["measurement"]["average"], (1e-9, 1 - 1e-9), strict=True):
+        share["weight"] = weight
+    code = (
+        "import sys; from calib.cli.main import main\n"
+        f"assert main(['measure', {str(written(tmp_path, document))!r}, {str(table)!r}]) == 0\n"
+        "print('LOADED', *sorted(sys.modules))\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    loaded = set(done.stdout.split("LOADED")[1].split())
+    assert "numpy" in loaded
+    assert not loaded & {"scipy", "cv2", "matplotlib", "h5py", "numpy.polynomial"}

@@ -14,7 +14,7 @@ from numpy.random import SeedSequence
 
 from calib.core.arrays import FloatArray
 from calib.dataset.tables import LengthTable
-from calib.diagnosis.engine import Cause, Diagnosis
+from calib.diagnosis.findings import Cause, Diagnosis
 from calib.diagnosis.independent import LEAST, diagnose_references, differences
 from calib.fit.priors import Priors
 from calib.fit.robust import RobustFit, fit_model

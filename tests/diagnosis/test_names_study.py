@@ -44,6 +44,10 @@ def test_scores_count_what_matters_and_what_the_rows_show() -> None:
     ) -> dict[str, object]:
         return {"fault": fault, "rows": 24, "effect": effect, "gain": gain, "named": list(named)}
 
+    def pair(effect: float, named: list[str], beside: list[str]) -> dict[str, object]:
+        made = {"faults": ["unit", "backlash"], "rows": 24, "effect": effect}
+        return made | {"named": named, "beside": beside}
+
     record = {
         "condition": MISTAKES,
         "number": 0,
@@ -55,6 +59,12 @@ def test_scores_count_what_matters_and_what_the_rows_show() -> None:
             made("backlash", 1.0, -4.0),
             made("unit", None, None),
         ],
+        "pairs": [
+            pair(3.0, ["backlash"], ["unit"]),
+            pair(3.0, ["backlash", "microstep"], []),
+            pair(3.0, ["microstep"], ["rehomed"]),
+            pair(1.0, [], []),
+        ],
     }
     scores = {(s.subject, s.statistic): s for s in score_all([record])}
     assert scores["clean rigs", "false_names"].value == pytest.approx(1 / 3)
@@ -63,6 +73,8 @@ def test_scores_count_what_matters_and_what_the_rows_show() -> None:
     assert scores["24 rows", "in_evidence"].value == pytest.approx(2 / 3)
     assert scores["24 rows", "named_in_evidence"].value == pytest.approx(1 / 2)
     assert scores["backlash", "named"].rigs == 1
+    two = {name: s.value for (subject, name), s in scores.items() if "two" in subject}
+    assert two == pytest.approx({"one_named": 2 / 3, "both_named": 1 / 3, "wrong_pair": 1 / 3})
 
 
 def test_mistakes_are_of_the_sizes_that_the_study_says() -> None:

@@ -10,7 +10,7 @@ from fit_rows import simulated, table_1
 
 from calib.core.errors import EstimationError
 from calib.fit.convex import fit_convex
-from calib.fit.linear import fit_bilinear, fit_linear
+from calib.fit.linear import Bilinear, fit_bilinear, fit_linear, parameters_of
 from calib.fit.noise import row_noise
 from calib.fit.start import first_guess
 from calib.geometry.misclosure import misclosure
@@ -61,6 +61,29 @@ def test_bilinear_is_the_weighted_least_squares_minimum(axis_z: bool) -> None:
     free = [0, 1, 2] if axis_z else [0, 1]
     terms = (weights**2 * c.value)[:, None] * c.by_theta[:, free]
     assert np.all(np.abs(terms.sum(axis=0)) < 2e-2 * np.abs(terms).sum(axis=0))
+
+
+@pytest.mark.parametrize("axis_z", [False, True])
+def test_many_bilinear_solutions_at_once_are_those_of_one_at_a_time(axis_z: bool) -> None:
+    """Independent computation: each by itself, and its misclosures by the full model.
+
+    A set of rows that are all alike determines nothing; it is told, and the others stay.
+    """
+    rows, _ = simulated(np.random.default_rng(4), count=12)
+    rows = rows.take(np.array([*range(12), 0, 0]))
+    weights = 1 / row_noise(first_guess(rows), rows).sigma
+    chosen = np.array([[0, 3, 7, 9], [0, 12, 13, 0], [1, 2, 5, 11]])
+    equations = Bilinear.of(rows)
+    solved = equations.solve(weights, chosen, axis_z=axis_z)
+    assert np.isnan(solved[1]).any()
+    for place in (0, 2):
+        own = np.zeros(len(rows))
+        own[chosen[place]] = weights[chosen[place]]
+        theta = fit_bilinear(rows, own, axis_z=axis_z)
+        np.testing.assert_allclose(parameters_of(solved)[place], theta, rtol=1e-9, atol=1e-12)
+        expected = misclosure(theta, rows.gaze, rows.z_mm).value
+        found = equations.misclosures(solved)[place]
+        np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-13)
 
 
 def test_convex_is_proved_optimal_and_agrees_without_outliers() -> None:

@@ -28,7 +28,7 @@ from calib.results.hdf5_file import archive
 from calib.stages.files import write_bytes
 from calib.stages.manifest import begin_outputs, end_outputs
 from calib.stages.provenance import Provenance, provenance
-from calib.stages.run_folder import SOMETIMES
+from calib.stages.run_folder import ALWAYS, SOMETIMES
 from calib.stages.store import Store
 
 
@@ -68,7 +68,11 @@ def write_set(out: Path, files: Mapping[str, bytes], *, fingerprint: str) -> Non
     ------
     UsageError
         If the folder cannot be written.
+    ValueError
+        If a file is not declared: nobody would know it for the run's, nor remove it once stale.
     """
+    if undeclared := set(files) - {*ALWAYS, *SOMETIMES}:
+        raise ValueError(f"not declared in calib.stages.run_folder: {', '.join(undeclared)}")
     begin_outputs(out, files)
     for name, content in files.items():
         write_bytes(out / name, content)
@@ -105,6 +109,8 @@ def _results(calibration: Calibration) -> dict[str, bytes]:
     }
     for name, found in calibration.images.intrinsics.items():
         files[f"{name}.yaml"] = opencv_text(found.camera).encode()
+        if found.camera.projection != "perspective":
+            continue  # mrcal has no such lens model
         # mrcal's own file holds its solve too, from which mrcal-tools tell uncertainties.
         lens = f"'{found.selected.lens_model}'"
         own = [text for text in found.model_files.values() if lens in text]

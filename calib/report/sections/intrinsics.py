@@ -53,7 +53,9 @@ def intrinsics(c: Calibration, _: ReportContext) -> Section | None:
             "Each camera was calibrated from its pictures of the board by OpenCV and by mrcal, "
             "each with several lens models. The lens model is the simplest that no larger one "
             "beats in predicting views that were left out; rms is the root mean square residual "
-            "per coordinate, the same for all. Where there are stereo pairs, a joint solve of "
+            "per coordinate, the same for all. Where pictures show a wide lens, an equidistant "
+            "one (fisheye) is solved by this program and by OpenCV; mrcal has no such model, only "
+            "a splined one beside it. Where there are stereo pairs, a joint solve of "
             "both lenses, the pairs and the boards of the gaze rows then refines lens and pose."
         )
     ]

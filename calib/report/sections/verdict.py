@@ -70,8 +70,8 @@ def _banner(c: Calibration, context: ReportContext) -> Notice:
         return Notice(
             "bad",
             f"{failed} of {len(c.gates)} checks failed",
-            "Do not use this calibration before they are mended. What follows is written down to "
-            "help with that.",
+            "Do not use this calibration before what they name is mended. What follows is there to "
+            "help with that, not to be used.",
         )
     if c.disagreements:
         told = "" if c.gaze is None else what_the_errors_do(c.gaze, context.validation_reference)
@@ -269,8 +269,9 @@ def _outcome(stage: str, gates: Sequence[Gate]) -> Text:
     if not failed:
         count = "1 check" if len(gates) == 1 else f"all {len(gates)} checks"
         return Markup('<span class="good">✓</span> {}: {} passed').format(stage, count)
-    return Markup('<span class="caution">▲</span> {}: {} of {} checks failed ({})').format(
-        stage, len(failed), len(gates), ", ".join(failed)
+    how_many = "its check" if len(gates) == 1 else f"{len(failed)} of {len(gates)} checks"
+    return Markup('<span class="caution">▲</span> {}: {} failed ({})').format(
+        stage, how_many, ", ".join(failed)
     )
 
 

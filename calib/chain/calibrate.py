@@ -310,6 +310,7 @@ def _measure(
         groups=groups.value,
         diagnosis=diagnosis.value,
         evidence=evidence.get(),
+        not_certified=evidence.failed,
     )
 
 

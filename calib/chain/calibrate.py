@@ -272,6 +272,7 @@ def _measure(
     if validation is not None:
         references = np.append(references, validation.value.rows.z_mm)
     low, high = options.depths_mm or (float(references.min()), float(references.max()))
+    history = given("row history", row_history(dataset))
     # fmt: off
     comparison = run(stage("comparison", compare_models,
                            rows, fits, posteriors, priors, optional(validation), seed=seed))
@@ -283,8 +284,7 @@ def _measure(
                        calibrated, low_mm=low, high_mm=high, seed=seed))
     diagnosis = run(stage("diagnosis", diagnose,
                           rows, priors, fitted.robust[selected],
-                          given("row history", row_history(dataset)), depths,
-                          is_left=mirror is not None))
+                          history, depths, is_left=mirror is not None))
     average = run(stage("average", build_average,
                         posteriors, fits, comparison, rows, setup, calibrated, depths, seed=seed))
     measured = None
@@ -293,7 +293,7 @@ def _measure(
                              calibrated, validation, fits, seed=seed))
     diagnosis = run(stage("independent references", diagnose_references,
                           diagnosis, calibrated, fitted.robust[selected], rows,
-                          optional(validation), optional(_lengths(dataset)), depths))
+                          optional(validation), optional(_lengths(dataset)), depths, history))
     # fmt: on
     evidence = run(
         certified(
@@ -310,6 +310,7 @@ def _measure(
         groups=groups.value,
         diagnosis=diagnosis.value,
         evidence=evidence.get(),
+        not_certified=evidence.failed,
     )
 
 

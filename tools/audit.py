@@ -33,6 +33,11 @@ ALLOWED = {
 
 LEFT_OUT = {
     "scs": "a solver of 150 MB that cvxpy requires, does without, and no fit calls",
+    "sparsediffpy": "of cvxpy, for problems that are not convex: 39 MB",
+    "highspy": "a solver of 12 MB, as scs",
+    "osqp": "a solver, as scs; 2 MB, and the next two",
+    "joblib": "of osqp alone: 3 MB",
+    "setuptools": "of osqp alone: 8 MB",
 }
 """Packages that others require and the locks leave out, and why."""
 

@@ -110,11 +110,11 @@ why() {
         say "its words are above"
     fi
 }
-# The lock is the whole set: what cvxpy requires and no fit calls (SCS, 150 MB) is not in it.
+# The lock is the whole set: solvers that cvxpy requires and no fit calls (210 MB) are not in it.
 pip --no-deps --require-hashes -r "$lock" ||
     { why; fail "pip could not install the locked packages"; }
-# Environments of earlier sets hold the distribution under its former name, and SCS.
-$venv/bin/python -m pip uninstall --quiet --yes calib scs >/dev/null 2>&1 || true
+# Environments of earlier sets hold the distribution under its former name, and those solvers.
+$venv/bin/python -m pip uninstall --quiet --yes calib scs highspy osqp sparsediffpy joblib >/dev/null 2>&1 || true
 pip --no-deps --no-build-isolation -e . || { why; fail "pip could not install calib itself"; }
 # Where Python may write no compiled modules beside sources, each start would compile them all anew.
 $venv/bin/python -m compileall -q calib || true

@@ -143,6 +143,7 @@ def with_adjustment(
         depths=described.depths,
         validation=described.validation,
         evidence=evidence.get(),
+        not_certified=evidence.failed,
     )
 
 

@@ -31,8 +31,9 @@ from calib.dataset.contents import Dataset
 from calib.dataset.given_lens import given_lens_covariance
 from calib.dataset.tables import LengthTable
 from calib.diagnosis.correction import correct_rows
-from calib.diagnosis.engine import Attempt, diagnose
+from calib.diagnosis.findings import Attempt
 from calib.diagnosis.independent import diagnose_references
+from calib.diagnosis.second import diagnose
 from calib.diagnosis.session import row_history
 from calib.fit.compare import compare_models
 from calib.fit.convex import fit_convex
@@ -282,6 +283,7 @@ def _measure(
     if validation is not None:
         references = np.append(references, validation.value.rows.z_mm)
     low, high = options.depths_mm or (float(references.min()), float(references.max()))
+    history = given("row history", row_history(dataset))
     # fmt: off
     comparison = run(stage("comparison", compare_models,
                            rows, fits, posteriors, priors, optional(validation), seed=seed))
@@ -293,8 +295,7 @@ def _measure(
                        calibrated, low_mm=low, high_mm=high, seed=seed))
     diagnosis = run(stage("diagnosis", diagnose,
                           rows, priors, fitted.robust[selected],
-                          given("row history", row_history(dataset)), depths,
-                          is_left=mirror is not None))
+                          history, depths, is_left=mirror is not None))
     average = run(stage("average", build_average,
                         posteriors, fits, comparison, rows, setup, calibrated, depths, seed=seed))
     measured = None
@@ -303,7 +304,7 @@ def _measure(
                              calibrated, validation, fits, seed=seed))
     diagnosis = run(stage("independent references", diagnose_references,
                           diagnosis, calibrated, fitted.robust[selected], rows,
-                          optional(validation), optional(_lengths(dataset)), depths))
+                          optional(validation), optional(_lengths(dataset)), depths, history))
     # fmt: on
     result = replace(result, calibrated=calibrated.value)
     evidence = None
@@ -312,7 +313,7 @@ def _measure(
             certified(
                 "", dataset, calibrated, rows, optional(validation), optional(measured), seed=seed
             )
-        ).get()
+        )
     return replace(
         result,
         comparison=comparison.value,
@@ -321,7 +322,8 @@ def _measure(
         validation=None if measured is None else measured.value,
         groups=groups.value,
         diagnosis=diagnosis.value,
-        evidence=evidence,
+        evidence=None if evidence is None else evidence.get(),
+        not_certified=None if evidence is None else evidence.failed,
     )
 
 

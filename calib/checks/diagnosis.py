@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from calib.core.gate import Gate
-from calib.diagnosis.engine import Attempt, Diagnosis
+from calib.diagnosis.findings import Attempt, Diagnosis
 from calib.diagnosis.structure import Structure, structured
 from calib.geometry.parameters import INDEX, PARAMETERS
 

@@ -349,7 +349,8 @@ def _left_to_priors(found: Identifiability) -> list[str]:
             continue  # two combinations may ask for the same
         own = [name for name in found.names if name in combination.names and name in left]
         left = [name for name in left if name not in own]
-        decided = f"; until then {' and '.join(own)} rest on prior knowledge" if own else ""
+        rest = "rests" if len(own) == 1 else "rest"
+        decided = f"; until then {' and '.join(own)} {rest} on prior knowledge" if own else ""
         texts.append(f"{combination.words}{decided}")
     texts += [
         f"{name} ({PARAMETERS[INDEX[name]].meaning}) is identified by prior knowledge, not by "

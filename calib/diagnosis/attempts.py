@@ -2,31 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from calib.core.arrays import FloatArray
 from calib.core.errors import EstimationError
+from calib.diagnosis.bases import Base, measured, prior_volume
 from calib.diagnosis.hypotheses import HYPOTHESES, Hypothesis
-from calib.diagnosis.refit import Added, Linear, Refit, Setting, stated_errors
-from calib.diagnosis.session import Session
+from calib.diagnosis.refit import Added, Refit, Setting
 from calib.diagnosis.small_prior import by_small_prior
-from calib.diagnosis.trials import Loaded, Looked, Mended, Periodic, Search, Trial, TwoSided
+from calib.diagnosis.trials import Loaded, Mended, Periodic, Search, Trial, TwoSided
 from calib.fit.noise import ROBUST, log_density
-from calib.fit.priors import Priors, measured_of, prior_of
-from calib.fit.robust import LEFT_TO_PRIOR, RobustFit, fit_robust, too_much
+from calib.fit.start import find_start
 from calib.geometry.misclosure import misclosure_value
-from calib.geometry.parameters import INDEX, MODELS, REFERENCE_OFFSET, Model, model_for
+from calib.geometry.parameters import INDEX, REFERENCE_OFFSET
 from calib.geometry.plane import OBSERVABLE
 from calib.rows.observations import Observations
 
 REFITTED = 3
 """Places of a search that are refitted, the most promising by the score test."""
-
-LEAST_FREEDOM = 1.0
-"""Degrees of freedom that must be left to the noise beside a hypothesis."""
 
 SIDES_ROUNDS = 8
 """Rounds in which rows of a two-sided error are allotted to their sides."""
@@ -49,14 +45,11 @@ SHARE_STD = 3.0
 SHARE_TOLERANCE = 0.25
 """Of a mistake that has no size, how far the size found may be from 1."""
 
+NORMAL_QUARTILE = 0.6745
+"""Median size of a standard normal number."""
+
 PHASE_ROUNDS = 4
 """Rounds in which the phase of a periodic error settles."""
-
-WIDER = 5.0
-"""Factor by which priors of the manifest may be too narrow."""
-
-RICHER = "axis-offset"
-"""Model with which hypotheses are tried beside the selected one."""
 
 
 @dataclass(frozen=True)
@@ -75,115 +68,8 @@ class Outcome:
     mended: Observations | None = None
 
 
-@dataclass(frozen=True)
-class Base:
-    """The rows as a model has them without any hypothesis.
-
-    Parameters
-    ----------
-    volume
-        Logarithm of the greatest prior density of the parameters that the model has beyond those
-        of the selected one.
-    reference
-        Evidence of the best model, volume included: what a hypothesis has to beat.
-    """
-
-    setting: Setting
-    looked: Looked
-    refit: Refit
-    linear: Linear
-    volume: float
-    reference: float
-
-    def gain(self, refit: Refit) -> float:
-        """Return the evidence for a refit of this model, nats."""
-        return refit.evidence + self.volume - self.reference
-
-    def is_free_enough(self) -> bool:
-        """Whether the rows can carry one more parameter."""
-        told = [name for name in self.setting.model.free if name not in LEFT_TO_PRIOR]
-        return len(self.looked.rows) - len(told) > LEAST_FREEDOM
-
-
-def measured(theta: FloatArray) -> FloatArray:
-    """Return the parameters that a measured depth has."""
-    theta = theta.copy()
-    theta[INDEX[REFERENCE_OFFSET]] = 0.0
-    return theta
-
-
-def bases(rows: Observations, session: Session, priors: Priors, fit: RobustFit) -> tuple[Base, ...]:
-    """Return the rows as the selected model has them, and as the next richer one does.
-
-    A mistake may have led the selection astray, and some are told by a richer model only.
-    """
-    own, stated = stated_errors(rows)
-    setting = Setting.of(own, stated, fit.structure, priors, fit.theta)
-    found: list[Base] = []
-    for model in _models(rows, fit):
-        result = replace(setting, model=model).refit(
-            fit.theta, fit.noise_scale, Added.none(len(rows))
-        )
-        if result is None:
-            continue
-        refit, linear = result
-        volume = _prior_volume(priors, model, set(model.free) - set(fit.names))
-        looked = Looked(own, session, refit.standardised)
-        found.append(Base(replace(setting, model=model), looked, refit, linear, volume, np.nan))
-    if not found or found[0].setting.model.free != fit.names:
-        return ()
-    reference = max(base.refit.evidence + base.volume for base in found)
-    reference = max(reference, *(_with_wide_priors(base, fit) for base in found))
-    told = [base for base in found if base.setting.model.name in (fit.model, RICHER)]
-    return tuple(replace(base, reference=reference) for base in told)
-
-
-def _with_wide_priors(base: Base, fit: RobustFit) -> float:
-    """Return the evidence of a model with the priors of the manifest too narrow, nats.
-
-    It is no mistake of the rows if priors were stated too narrow: what they then push into a
-    hypothesis is no evidence for it. Each wider prior costs the logarithm of its factor.
-    """
-    setting = base.setting
-    wide = {
-        name: (mean, WIDER * std)
-        for name, (mean, std) in setting.priors.stated.items()
-        if name in setting.model.free and name != REFERENCE_OFFSET
-    }
-    if not wide:
-        return -np.inf
-    priors = replace(setting.priors, stated={**setting.priors.stated, **wide})
-    found = replace(setting, priors=priors).refit(
-        base.refit.theta, base.refit.scale, Added.none(len(setting.rows))
-    )
-    if found is None:
-        return -np.inf
-    volume = _prior_volume(priors, setting.model, set(setting.model.free) - set(fit.names))
-    cost = sum(np.log(WIDER) for name in wide if name in fit.names)
-    return found[0].evidence + volume - float(cost) - float(np.log(len(HYPOTHESES)))
-
-
-def _models(rows: Observations, fit: RobustFit) -> list[Model]:
-    """Return the model of the fit and those with more parameters that rows can carry."""
-    found = [fit.structure]
-    for name in MODELS:
-        model = model_for(
-            name, off_centre=rows.off_centre, offset_open=REFERENCE_OFFSET in fit.names
-        )
-        if set(model.free) > set(fit.names) and too_much(rows, model) is None:
-            found.append(model)
-    return found
-
-
-def _prior_volume(priors: Priors, model: Model, names: Iterable[str]) -> float:
-    """Return the logarithm of the greatest prior density of some parameters of a model."""
-    known = prior_of(model, priors) + measured_of(model, priors)
-    some = [model.free.index(name) for name in names]
-    return float(0.5 * np.log(np.diag(known.precision)[some] / (2 * np.pi)).sum())
-
-
 def best_of(hypothesis: Hypothesis, base: Base) -> Outcome | None:
-    """Return the trial of a hypothesis that has the greatest evidence."""
+    """Return the best trial of a hypothesis, with the evidence of all its places together."""
     if hypothesis.name == "reference-offset" and REFERENCE_OFFSET in base.setting.model.free:
         return None
     trials = hypothesis.trials(base.looked)
@@ -194,12 +80,12 @@ def best_of(hypothesis: Hypothesis, base: Base) -> Outcome | None:
         # Of all pairs of rows only those that disagree are looked at.
         places = len(base.looked.rows) * (len(base.looked.rows) - 1)
     penalty = float(np.log(len(HYPOTHESES)) + np.log(places))
-    best: Outcome | None = None
-    for trial in trials:
-        for found in _tried(trial, hypothesis, base):
-            if best is None or found.gain > best.gain:
-                best = found
-    return None if best is None else replace(best, gain=best.gain - penalty)
+    found = [outcome for trial in trials for outcome in _tried(trial, hypothesis, base)]
+    if not found:
+        return None
+    # Each place is as probable as another: what they gain is averaged, those not refitted as 0.
+    gain = float(np.logaddexp.reduce([outcome.gain for outcome in found])) - penalty
+    return replace(max(found, key=lambda outcome: outcome.gain), gain=gain)
 
 
 def _tried(trial: Trial, hypothesis: Hypothesis, base: Base) -> Iterator[Outcome]:
@@ -289,7 +175,11 @@ def _two_sided(loadings: FloatArray, hypothesis: Hypothesis, base: Base) -> Outc
     here = log_density(r, log_scale, ROBUST)
     other = log_density(r + 2 * side * half, log_scale, ROBUST)
     loss = float((np.logaddexp(here, other) - np.log(2) - here).sum())
-    return replace(found, gain=found.gain + loss, values=np.abs(found.values))
+    # Which side is called the upper one is arbitrary: the one with which the size is positive.
+    sign = 1.0 if found.values[0] >= 0 else -1.0
+    return replace(
+        found, gain=found.gain + loss, values=sign * found.values, loadings=sign * found.loadings
+    )
 
 
 def _mended(trial: Mended, base: Base) -> Outcome | None:
@@ -326,12 +216,12 @@ def _start(trial: Mended, base: Base) -> tuple[Setting, FloatArray, float] | Non
     if scale < FAR_OFF:
         return None
     try:
-        fit = fit_robust(trial.rows, setting.model, setting.priors)
+        theta = find_start(trial.rows, axis_z="axis_z_mm" in setting.model.free)
     except EstimationError:
         return None
-    theta = fit.theta
     anew = Setting.of(trial.rows, setting.stated, setting.model, setting.priors, theta)
-    return anew, theta, fit.noise_scale
+    missed = misclosure_value(theta, trial.rows.gaze, trial.rows.z_mm) / anew.unit[0]
+    return anew, theta, float(np.median(np.abs(missed))) / NORMAL_QUARTILE
 
 
 def _sized(share: FloatArray, mended: Outcome, base: Base) -> Outcome | None:
@@ -379,7 +269,7 @@ def carried_offset(bases: tuple[Base, ...]) -> Outcome | None:
     model = best.setting.model
     evidence, refit = max(without, key=lambda pair: pair[0])
     gain = best.refit.evidence + best.volume - evidence - float(np.log(len(HYPOTHESES)))
-    gain += _prior_volume(best.setting.priors, model, (REFERENCE_OFFSET,))
+    gain += prior_volume(best.setting.priors, model, (REFERENCE_OFFSET,))
     place = model.free.index(REFERENCE_OFFSET)
     value = best.refit.theta[[INDEX[REFERENCE_OFFSET]]]
     covariance = best.linear.covariance[place : place + 1, place : place + 1]

@@ -14,7 +14,8 @@ import numpy as np
 from calib.core.arrays import FloatArray
 from calib.core.errors import EstimationError
 from calib.diagnosis.attempts import Outcome
-from calib.diagnosis.engine import MOST_ROWS, Attempt, Tried, attempt_of
+from calib.diagnosis.engine import MOST_ROWS, Tried, attempt_of
+from calib.diagnosis.findings import Attempt
 from calib.diagnosis.hypotheses import HYPOTHESES
 from calib.diagnosis.refit import corrected
 from calib.diagnosis.session import RowHistory

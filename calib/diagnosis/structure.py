@@ -14,7 +14,7 @@ import numpy as np
 from scipy.special import stdtr
 
 from calib.core.arrays import FloatArray
-from calib.diagnosis.attempts import Base
+from calib.diagnosis.bases import Base
 from calib.diagnosis.trials import Looked, Search, reading_step
 from calib.fit.priors import Priors, prior_of
 from calib.fit.robust import RobustFit

@@ -86,7 +86,9 @@ class Content(Part):
     validation_summary: dict[str, ErrorSummary] | None = Field(
         None, description="errors by reference"
     )
-    diagnosis: tuple[CausePart, ...] | None = Field(None, description="best first")
+    diagnosis: tuple[CausePart, ...] | None = Field(
+        None, description="best first, then those that show beside the first"
+    )
     residual_structure: tuple[StructurePart, ...] | None = Field(
         None, description="tests of the residuals"
     )

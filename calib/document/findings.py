@@ -14,8 +14,9 @@ class CausePart(Part):
 
     cause: str = Field(description="name of a hypothesis")
     at: str | None = Field(None, description="row, rows or group where it struck")
-    seen_in: Literal["rows", "references"] = Field(
-        "rows", description="whether calibration rows or independent references show it"
+    seen_in: Literal["rows", "references", "both"] = Field(
+        "rows",
+        description="whether calibration rows, independent references or both together show it",
     )
     estimate: float | None = Field(None, description="of its size, in unit")
     std: float | None = Field(None, description="standard uncertainty of the estimate")
@@ -30,6 +31,9 @@ class CausePart(Part):
     remedy: str = Field(description="what to do")
     fits_as_well: tuple[str, ...] = Field(description="causes that explain the rows about as well")
     told_apart_by: str = Field(description="what would tell it from the causes that fit as well")
+    beside: str | None = Field(
+        None, description="first cause, where this one shows once the first is allowed for"
+    )
 
 
 class CorrectionPart(Part):

@@ -15,7 +15,18 @@ from calib.fit.information import Known, beforehand, kept, row_slopes, slopes
 from calib.fit.priors import Priors, measured_of, prior_of
 from calib.fit.robust import DECIDED, RobustFit
 from calib.geometry.misclosure import misclosure
-from calib.geometry.parameters import PARAMETERS, STANDOFF, Model
+from calib.geometry.parameters import (
+    PARAMETERS,
+    STANDOFF,
+    AxisPoint,
+    AxisTilt,
+    Effect,
+    EncoderTerm,
+    GazeRoll,
+    Model,
+    PlaneOffset,
+    Standoff,
+)
 from calib.geometry.plane import OBSERVABLE
 from calib.rows.observations import Observations
 
@@ -249,26 +260,21 @@ def _depth_std_rel(rows: Observations, fit: RobustFit, covariance: FloatArray) -
 
 _SYMBOLS: Mapping[str, str] = MappingProxyType({p.name: p.symbol for p in PARAMETERS})
 
-_BY_TURNING = (
-    "axis_z_mm",
-    "eccentricity_mm",
-    "encoder_scale",
-    "encoder_cos_rad",
-    "encoder_sin_rad",
-)
-"""Parameters whose effect changes with the reading: a wider range of it tells them."""
 
-_BY_SWEEP = (
-    "eccentricity_mm",
-    "gaze_roll_rad",
-    "encoder_scale",
-    "encoder_cos_rad",
-    "encoder_sin_rad",
-    STANDOFF,
-)
-"""Parameters of which a yaw sweep tells."""
+def _of(*effects: type[Effect]) -> frozenset[str]:
+    """Return the parameters of these effects, but for the two that every row shows."""
+    named = (p.name for p in PARAMETERS if isinstance(p.effect, effects))
+    return frozenset(named) - {"baseline_mm", "delta2_rad"}
 
-_BY_HEIGHT = ("axis_tilt_x_rad", "axis_tilt_z_rad", "gaze_roll_rad")
+
+_BY_TURNING = _of(AxisPoint, PlaneOffset, EncoderTerm)
+"""Parameters whose effect changes with the reading: a wider range of it identifies them."""
+
+_BY_SWEEP = _of(PlaneOffset, GazeRoll, EncoderTerm, Standoff)
+"""Parameters that a yaw sweep identifies."""
+
+_BY_HEIGHT = _of(AxisTilt, GazeRoll)
+"""Parameters that targets above and below C1's axis identify."""
 
 HALF_WIDTHS_DEG = (15.0, 20.0, 25.0, 30.0, 35.0, 40.0, 45.0, 50.0, 55.0, 60.0)
 """Readings to either side of 90 deg that are tried as a remedy; C1 sees none beyond."""
@@ -279,15 +285,15 @@ def _remedies(
 ) -> tuple[str, ...]:
     """Return what would tell a combination, the likeliest first."""
     found = []
-    if any(name in names for name in _BY_TURNING):
+    if _BY_TURNING.intersection(names):
         found += _wider(names, rows, fit)
-    if any(name in names for name in _BY_HEIGHT):
+    if _BY_HEIGHT.intersection(names):
         span = float(np.ptp(rows.y1c))
         found.append(f"place targets higher and lower (y1c spans {span:.2f} now)")
     if "delta2_rad" in names:
         near, far = rows.z_mm.min(), rows.z_mm.max()
         found.append(f"place targets nearer and farther than {near:.0f} to {far:.0f} mm")
-    if any(name in names for name in _BY_SWEEP):
+    if _BY_SWEEP.intersection(names):
         found.append(f"take a {'wider ' if swept else ''}yaw sweep ([sweep] in dataset.toml)")
     # Of several parameters the last in the table is the one that a drawing tells best.
     prior = next(p.name for p in reversed(PARAMETERS) if p.name in names)

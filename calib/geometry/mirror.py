@@ -82,18 +82,22 @@ def mirror_readings(alpha2: FloatArray) -> FloatArray:
     """Return readings, rad, shape (n,), in the mirror: pi less each.
 
     A reading that is a short decimal in degrees, or whose cotangent is one, becomes the nearest
-    double of the mirrored decimal, as a table would have it. Chains of random numbers tell the
+    double of the mirrored decimal, as a table would have it; a few of the one kind are, to the last
+    bit, long decimals of the other: the shorter counts. Chains of random numbers tell the
     difference, which is of the last bit.
     """
     plain = np.pi - alpha2
     mirrored = plain.copy()
-    in_degrees = np.deg2rad(np.round(180.0 - np.rad2deg(alpha2), _SHORT_DEG))
+    degrees = 180.0 - np.rad2deg(alpha2)
     with np.errstate(divide="ignore", invalid="ignore"):
-        cotangent = np.round(1 / np.tan(alpha2), _SHORT_COTANGENT)
-    by_cotangent = np.arctan2(1.0, -cotangent)
-    for short in (by_cotangent, in_degrees):
-        near = np.abs(short - plain) < _ROUNDING_RAD
-        mirrored[near] = short[near]
+        cotangent = -1 / np.tan(alpha2)
+    for digits in range(_SHORT_COTANGENT, -1, -1):
+        forms = [np.arctan2(1.0, np.round(cotangent, digits))]
+        if digits <= _SHORT_DEG:
+            forms.append(np.deg2rad(np.round(degrees, digits)))
+        for short in forms:
+            near = np.abs(short - plain) < _ROUNDING_RAD
+            mirrored[near] = short[near]
     return mirrored
 
 

@@ -1,8 +1,8 @@
 """The one table of model parameters, and the models as sets of free ones.
 
 Adding a parameter is one entry of `PARAMETERS`: its `Effect` says how it enters the formula of
-`calib.geometry.plane`, which takes the value and the analytic jacobian from there. Adding a model
-is one entry of `MODELS`.
+`calib.geometry.plane`, which takes the value and the analytic jacobian from there, and what kind of
+further rows identifies it. Adding a model is one entry of `MODELS`.
 """
 
 from __future__ import annotations
@@ -169,7 +169,7 @@ class Model:
     name
         Key in files.
     free
-        Names of the free parameters, in the order of `PARAMETERS`.
+        Names of the free parameters; kept in the order of `PARAMETERS`.
     needs_height
         True if it can be fitted only to targets with y1c off zero.
     """
@@ -177,6 +177,9 @@ class Model:
     name: str
     free: tuple[str, ...]
     needs_height: bool = False
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "free", tuple(sorted(self.free, key=NAMES.index)))
 
     @property
     def indices(self) -> tuple[int, ...]:

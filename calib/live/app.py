@@ -22,7 +22,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from calib.core.errors import CalibError, UsageError
 from calib.live.access import Access, Guarded, token_of
-from calib.live.commands import Answer, Command, Mark, Picture, Stop, Take, parse
+from calib.live.commands import Answer, Command, Mark, Pick, Picture, Stop, Take, parse
 from calib.live.jobs import RUN_FILES
 from calib.live.session import Session
 from calib.live.streams import Shown
@@ -35,7 +35,8 @@ STATIC: Final = {
     "tables.js": "text/javascript",
 }
 
-NOTICES: Final = 8
+SAID: Final = 8
+"""Notices and answers that a slow page may be behind with."""
 
 COMMON_HEADERS: Final = {
     "Cache-Control": "no-store",
@@ -73,7 +74,7 @@ class Page:
         self.wanted: set[str] = set()
         self.sent: dict[str, int] = {}
         self.state_sent: tuple[int, ...] = ()
-        self.notices: deque[str] = deque(maxlen=NOTICES)
+        self.said: deque[dict[str, str]] = deque(maxlen=SAID)
 
 
 class Pages:
@@ -130,7 +131,7 @@ class Pages:
         try:
             await self._obey(page, parse(text))
         except CalibError as error:
-            page.notices.append(str(error))
+            page.said.append({"notice": str(error)})
         page.wake.set()
 
     async def _obey(self, page: Page, command: Command) -> None:
@@ -155,6 +156,8 @@ class Pages:
             self._session.answer(command)
         elif isinstance(command, Mark):
             self._session.mark(command)
+        elif isinstance(command, Pick):
+            page.said.append({"picked": await asyncio.to_thread(self._session.pick, command)})
         else:
             self._session.submit(command)
 
@@ -179,8 +182,8 @@ class Pages:
             return  # the page was closed meanwhile
 
     async def _send_state(self, page: Page) -> None:
-        while page.notices:
-            await page.socket.send_text(json.dumps({"notice": page.notices.popleft()}))
+        while page.said:
+            await page.socket.send_text(json.dumps(page.said.popleft()))
         version, state = self._session.record.snapshot()
         now = (version, self._changes)
         if page.state_sent == now:

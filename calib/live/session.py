@@ -13,13 +13,16 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
+
 from calib.core.errors import CalibError, UsageError
 from calib.gaze import length as lengths
+from calib.gaze.picking import target_near
 from calib.gaze.table import header
 from calib.gaze.target import Target
 from calib.live import jobs
 from calib.live.bench import Bench, Places, with_axis
-from calib.live.commands import DRIVING, REPEATABLE, Answer, Capture, Gaze, Job, Length, Mark
+from calib.live.commands import DRIVING, REPEATABLE, Answer, Capture, Gaze, Job, Length, Mark, Pick
 from calib.live.guarded import GuardedAxis, Stopped
 from calib.live.record import Record
 from calib.live.scene import heading
@@ -80,7 +83,7 @@ class Session:
         self._opened = threading.Event()
         self._failed: BaseException | None = None
         self._bench: Bench | None = None
-        self._mark: Target | None = None
+        self._marked: tuple[Target, ...] = ()
         self._thread = threading.Thread(target=self._run, name="rig", daemon=True)
         self.record = Record()
         self.streams: dict[str, Stream] = {}
@@ -136,8 +139,31 @@ class Session:
     def mark(self, mark: Mark) -> None:
         """Mark another target in the pictures; raises `UsageError` if it is none."""
         if self._bench is not None:
-            self._mark = self._bench.target(mark.target)
+            self._marked = (self._bench.target(mark.target),)
             self.record.put(marked=mark.target)
+
+    def pick(self, pick: Pick) -> str:
+        """Return the name of the target at a place in a picture, and mark it.
+
+        Raises
+        ------
+        UsageError
+            If there is none.
+        """
+        bench = self._bench
+        if bench is None:
+            raise UsageError("the rig is not open yet")
+        frame = (bench.rig.c1 if pick.camera == "c1" else bench.rig.c2).latest()
+        lens = bench.lens(pick.camera)
+        place = np.array([pick.u, pick.v])
+        name = frame and target_near(frame.pixels, place, board=bench.board, lens=lens)
+        if not name:
+            raise UsageError(
+                "nothing there that can be gazed at: a corner of the board, a tag, a cross, a "
+                "disc, a plate's corner"
+            )
+        self.mark(Mark(do="mark", target=name))
+        return name
 
     def stop(self) -> None:
         """Stop the motor at once, end the job and forget those that wait."""
@@ -213,10 +239,10 @@ class Session:
         for role, camera in (("c1", rig.c1), ("c2", rig.c2)):
             centre = bench.centre_column if role == "c2" else lambda: None
             self.streams[role] = Stream(
-                camera, rig.clock, lambda: self._mark, centre, partial(self._seen, role)
+                camera, rig.clock, lambda: self._marked, centre, partial(self._seen, role)
             )
         if bench.board is not None:
-            self._mark = bench.target("board")
+            self._marked = (bench.target("board"),)
             self.record.put(marked="board")
         jobs.look_around(bench)
         self._first_calibration(bench)
@@ -291,8 +317,8 @@ class Session:
                 return None
             self._job = self._waiting.popleft()
             self._bench.axis.allow()
-            for name in _targets(self._job)[:1]:
-                self._mark = self._bench.target(name)
+            if names := _targets(self._job):
+                self._marked = tuple(self._bench.target(name) for name in names)
             self.record.put(
                 job={"name": jobs.title(self._job), "step": "", "done": None, "of": None}
             )
@@ -304,7 +330,7 @@ class Session:
 
 
 def _targets(job: Job) -> tuple[str, ...]:
-    """Return the names of the targets of a job, the one to be marked first."""
+    """Return the names of the targets of a job."""
     if isinstance(job, Length):
         return job.start, job.end
     if isinstance(job, Capture | Gaze):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -73,8 +73,8 @@ class Stream:
         The device.
     clock
         The rig's.
-    target
-        Returns what is to be marked; None marks nothing.
+    targets
+        Returns what is to be marked; the first that is seen is the target.
     centre
         Returns the centre column, px; None draws none.
     told
@@ -85,13 +85,13 @@ class Stream:
         self,
         camera: Camera,
         clock: Clock,
-        target: Callable[[], Target | None],
+        targets: Callable[[], Sequence[Target]],
         centre: Callable[[], float | None],
         told: Callable[[str], None],
     ) -> None:
         self._camera = camera
         self._clock = clock
-        self._target = target
+        self._targets = targets
         self._centre = centre
         self._told = told
         self._asked = threading.Event()
@@ -142,42 +142,41 @@ class Stream:
 
     def _next(self) -> bool:
         """Make the next picture; return whether it is another one."""
+        is_new, fault = False, ""
         try:
-            frame = self._camera.latest()
-            before = self.shown
-            if frame is None or (before is not None and before.serial == frame.serial):
-                self._told("")
-                return False
-            self.shown = self._made(frame, 1 if before is None else before.number + 1)
+            is_new = self._renew()
         except (CalibError, OSError) as error:
-            self._told(str(error))
-            return False
+            fault = str(error)
         except Exception as error:
-            # Of the program: told once, and the pictures go on where they can.
-            self._told(f"a fault of the program, {type(error).__name__}: {error}")
+            # The pictures go on where they can.
+            fault = f"a fault of the program, {type(error).__name__}: {error}"
+        self._told(fault)
+        if is_new:
+            for listener in self._listeners:
+                listener()
+        return is_new
+
+    def _renew(self) -> bool:
+        frame, before = self._camera.latest(), self.shown
+        if frame is None or (before is not None and before.serial == frame.serial):
             return False
-        self._told("")
-        for listener in self._listeners:
-            listener()
+        self.shown = self._made(frame, 1 if before is None else before.number + 1)
         return True
 
     def _made(self, frame: Frame, number: int) -> Shown:
-        target = self._target()
-        sighting = None if target is None else target.find(frame.pixels)
+        looked = (target.find(frame.pixels) for target in self._targets())
+        seen = [sighting for sighting in looked if sighting is not None]
         _, data = cv2.imencode(".jpg", frame.pixels, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
         height, width = frame.pixels.shape
-        found, marks = None, []
-        if sighting is not None:
-            found = (float(sighting.pixel[0]), float(sighting.pixel[1]))
-            seen = sighting.marks_px[np.isfinite(sighting.marks_px).all(axis=1)]
-            marks = seen.round(1).tolist()
+        points = np.concatenate([np.empty((0, 2)), *(sighting.marks_px for sighting in seen)])
+        points = points[np.isfinite(points).all(axis=1)]
         return Shown(
             number=number,
             serial=frame.serial,
             jpeg=data.tobytes(),
             size=(width, height),
             exposed_ns=frame.exposed_ns,
-            target=found,
-            marks=marks,
+            target=(float(seen[0].pixel[0]), float(seen[0].pixel[1])) if seen else None,
+            marks=points.round(1).tolist(),
             centre_px=self._centre(),
         )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TypeVar
 
-from calib.diagnosis.engine import Attempt, Cause, Diagnosis
+from calib.diagnosis.findings import Attempt, Cause, Diagnosis
 
 T = TypeVar("T", bound=Attempt)
 

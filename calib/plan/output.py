@@ -131,7 +131,8 @@ def _targets(advice: Advice, targets: Targets) -> list[str]:
     lines = []
     for i, (x, y, z) in enumerate(targets.points_mm):
         angle = np.rad2deg(targets.alpha2_rad[i])
-        place = f"{i + 1:<4d}{x:8.0f}{y:8.0f}{z:8.0f}{targets.x1c[i]:9.3f}{angle:12.2f}"
+        # Python's z: a place a hair left of the axis is 0, not -0.
+        place = f"{i + 1:<4d}{x:z8.0f}{y:z8.0f}{z:8.0f}{targets.x1c[i]:z9.3f}{angle:12.2f}"
         lines.append(place + _figures(targets.u_rel[i], advice))
     return lines
 

@@ -12,7 +12,6 @@ import numpy as np
 from scipy.stats import chi2
 
 from calib.core.arrays import FloatArray
-from calib.diagnosis.engine import DECISIVE
 from calib.diagnosis.hypotheses import HYPOTHESES
 from calib.study.conditions import ADVICE, CONDITIONS, MISTAKES
 from calib.study.rigs import BEYOND, INSIDE
@@ -40,6 +39,12 @@ NOISE = "noise_scale"
 
 HARM = 2.0
 """A mistake matters where it moves a depth by over so many u."""
+
+EVIDENT = 2.0
+"""Gain of a mistake alone, nats, from which the rows have evidence of it: odds of 7 to 1."""
+
+MOST_NAMED = 2
+"""A mistake counts as named if it is among so many at most."""
 
 PENALTY = float(np.log(len(HYPOTHESES)))
 """What it costs in nats not to know which mistake to look for."""
@@ -256,7 +261,14 @@ def _mistakes(records: Sequence[Record]) -> list[Score]:
         for names in record["clean"].values()
         if names is not None
     ]
-    found = [_share("clean rigs", "false_names", clean)]
+    found = [
+        _share("clean rigs", "false_names", clean),
+        _share(
+            "clean rigs",
+            "false_names_with_depths",
+            [[bool(names) for names in record["clean_with_depths"]] for record in records],
+        ),
+    ]
     # Of each rig: rigs are independent of each other, what is done to one of them is not.
     made = [
         [one for one in record["mistakes"] if (one["effect"] or 0.0) > HARM] for record in records
@@ -274,18 +286,50 @@ def _mistakes(records: Sequence[Record]) -> list[Score]:
             of_rows("wrong_name", says=lambda one: bool(one["named"]) and not _is_named(one)),
             of_rows("in_evidence", says=_is_in_evidence),
             of_rows("named_in_evidence", says=_is_named, of=_is_in_evidence),
+            of_rows("named_with_depths", says=_is_named_with_depths),
         ]
     for fault in dict.fromkeys(one["fault"] for each in made for one in each):
         found.append(share("named", fault, "fault", fault, _is_named))
-    return found
+    return found + _pairs(records)
+
+
+def _pairs(records: Sequence[Record]) -> list[Score]:
+    """Return how often the diagnosis names one or both of two mistakes that were made at once."""
+    made = [[one for one in r["pairs"] if (one["effect"] or 0.0) > HARM] for r in records]
+
+    def right(one: Mapping[str, Any]) -> int:
+        some = {*one["named"][:MOST_NAMED], *one["beside"][:MOST_NAMED]}
+        return len(some & set(one["faults"]))
+
+    def wrong(one: Mapping[str, Any]) -> bool:
+        return bool(one["named"]) and right(one) == 0
+
+    says: Mapping[str, Callable[[Mapping[str, Any]], bool]] = {
+        "one_named": lambda one: right(one) > 0,
+        "both_named": lambda one: right(one) > 1,
+        "wrong_pair": wrong,
+    }
+    return [
+        _share(
+            f"{rows} rows, two mistakes",
+            name,
+            [[is_so(one) for one in each if one["rows"] == rows] for each in made],
+        )
+        for rows in sorted({one["rows"] for each in made for one in each})
+        for name, is_so in says.items()
+    ]
 
 
 def _is_named(one: Mapping[str, Any]) -> bool:
-    return one["fault"] in one["named"]
+    return one["fault"] in one["named"][:MOST_NAMED]
+
+
+def _is_named_with_depths(one: Mapping[str, Any]) -> bool:
+    return one["fault"] in (one["with_depths"] or ())
 
 
 def _is_in_evidence(one: Mapping[str, Any]) -> bool:
-    return one["gain"] is not None and one["gain"] + PENALTY > DECISIVE
+    return one["gain"] is not None and one["gain"] + PENALTY > EVIDENT
 
 
 def _share(subject: str, statistic: str, held: Sequence[Sequence[bool]]) -> Score:

@@ -101,7 +101,8 @@ def test_approaches_tell_of_backlash_at_few_rows(tmp_path: Path) -> None:
     assert with_sides is not None
     assert without is not None
     assert with_sides.named[0] == "backlash"
-    assert "backlash" not in without.named
+    gains = [found.outcomes["backlash"].gain for found in (with_sides, without)]
+    assert gains[0] > gains[1] + 3
 
 
 def test_times_order_the_rows(tmp_path: Path) -> None:

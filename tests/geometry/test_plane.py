@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from general_rigs import SIZE, general_rig
 from hypothesis import given
 from hypothesis import strategies as st
 
 from calib.geometry.misclosure import depth_jacobian, misclosure
-from calib.geometry.parameters import COUNT, MODELS, NAMES, PARAMETERS, embed, vector
+from calib.geometry.parameters import COUNT, MODELS, NAMES, PARAMETERS, Model, embed, vector
 from calib.geometry.plane import OBSERVABLE, Gaze, depth, encoder_reading, gaze_angle, gaze_at
-
-SIZE = {"mm": 8.0, "rad": 0.03, "1": 0.02}
 
 rigs = st.builds(
     lambda baseline, others: vector(
@@ -24,12 +23,6 @@ rigs = st.builds(
 points = st.builds(
     lambda *xyz: np.array([xyz]), st.floats(-300, 300), st.floats(-200, 200), st.floats(300, 2500)
 )
-
-
-def general_rig() -> np.ndarray:
-    """A rig on which every parameter is off neutral."""
-    values = (80, 0.02, -20, 3, 0.02, -0.03, 0.04, 0.01, 0.002, 0.003, 45, 30)
-    return vector(dict(zip(NAMES, values, strict=True)))
 
 
 def some_gazes(theta: np.ndarray, count: int = 40) -> tuple[Gaze, np.ndarray]:
@@ -166,8 +159,9 @@ def test_gaze_at_refuses_points_at_the_axis() -> None:
 def test_models_are_sets_of_the_one_table() -> None:
     """Property: free parameters are known, in order, and those of `base` are in all."""
     for model in MODELS.values():
-        assert list(model.indices) == sorted(model.indices)
+        assert list(model.indices) == sorted(set(model.indices))
         assert set(MODELS["base"].free) <= set(model.free)
+    assert Model("", ("delta2_rad", "baseline_mm")).free == MODELS["base"].free
     free = np.array([1.0, 2.0])
     np.testing.assert_array_equal(embed(free, MODELS["base"].free)[:3], [1.0, 2.0, 0.0])
     with pytest.raises(KeyError):

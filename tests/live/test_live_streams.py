@@ -37,7 +37,7 @@ class Camera:
 
 @contextmanager
 def stream_of(camera, told=lambda _: None):
-    stream = Stream(camera, HostClock(), lambda: None, lambda: 31.5, told)
+    stream = Stream(camera, HostClock(), lambda: (), lambda: 31.5, told)
     came = threading.Semaphore(0)
     stream.listen(came.release)
     stream.start()

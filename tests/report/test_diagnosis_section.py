@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 from report_examples import paper
 
-from calib.diagnosis.engine import Cause, Diagnosis
+from calib.diagnosis.findings import Cause, Diagnosis
 from calib.report.figures.diagnosis import draw_cause
 from calib.report.page import render_report
 

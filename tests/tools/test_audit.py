@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import importlib.util
+import subprocess
+import sys
 from pathlib import Path
 from types import ModuleType
 
@@ -73,3 +75,24 @@ def test_exit_status(audit: ModuleType, tmp_path: Path, capsys: pytest.CaptureFi
 def test_only_what_is_left_out_on_purpose_may_be_missing(audit: ModuleType) -> None:
     assert audit.left_out("cvxpy 1.9.2 requires scs, which is not installed.")
     assert not audit.left_out("cvxpy 1.9.2 requires numpy, which is not installed.")
+
+
+def test_what_is_left_out_is_what_the_locks_name(audit: ModuleType) -> None:
+    command = (PROJECT / "tools" / "lock.sh").read_text()
+    asked = command.partition("for name in ")[2].partition(";")[0].split()
+    assert sorted(asked) == sorted(audit.LEFT_OUT)
+    for name in audit.LOCKS:
+        lock = (PROJECT / name).read_text()
+        listed = lock.rpartition("excluded from the output:\n")[2].replace("# ", "").split()
+        assert set(listed) == {*asked}
+        assert not {requirement.name for requirement, _ in audit.entries(lock)} & {*asked}
+
+
+def test_the_fit_needs_nothing_of_what_is_left_out(audit: ModuleType) -> None:
+    program = (
+        f"import sys; sys.modules.update(dict.fromkeys({sorted(audit.LEFT_OUT)}));"
+        "import cvxpy; x = cvxpy.Variable(2);"
+        "problem = cvxpy.Problem(cvxpy.Minimize(cvxpy.sum(cvxpy.huber(x - 1))));"
+        "problem.solve(solver=cvxpy.CLARABEL); assert abs(x.value - 1).max() < 1e-3"
+    )
+    subprocess.run([sys.executable, "-W", "error", "-c", program], check=True)

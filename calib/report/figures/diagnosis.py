@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.diagnosis.engine import Cause
+from calib.diagnosis.findings import Cause
 from calib.report.plotting import (
     BLACK,
     Drawing,

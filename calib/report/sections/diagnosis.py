@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from calib.diagnosis.engine import DECISIVE, Attempt, Cause, Diagnosis
+from calib.diagnosis.engine import DECISIVE
+from calib.diagnosis.findings import Attempt, Cause, Diagnosis
 from calib.diagnosis.structure import structured
 from calib.report.blocks import Block, Items, Notice, Paragraph, Section, number, table, words
 from calib.report.context import ReportContext
@@ -54,12 +55,17 @@ def _finding(found: Diagnosis) -> str:
         f"Of {count} mistakes that are often made {first.name} explains {_looked_at(first)} best: "
         f"residuals are {before:.2g} times what is stated without it, {after:.2g} times with it."
     )
-    if len(found.causes) > 1:
+    if found.others(first):
         text += " Others explain them about as well; a measurement that distinguishes is named."
+    beside = [cause.name for cause in found.causes if cause.beside]
+    if beside:
+        text += f" Once that is allowed for, the rows show {' or '.join(beside)} as well."
     return text
 
 
 def _looked_at(cause: Cause) -> str:
+    if cause.seen_in == "both":
+        return "the rows and independent depths and lengths together"
     return "the rows" if cause.seen_in == "rows" else "independent depths and lengths"
 
 

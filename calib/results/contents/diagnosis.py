@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from calib.core.gate import Gate
-from calib.diagnosis.engine import Attempt, Diagnosis
+from calib.diagnosis.findings import Attempt, Diagnosis
 from calib.document.findings import CausePart, CorrectionPart, GatePart
 
 
@@ -32,6 +32,7 @@ def causes(found: Diagnosis) -> tuple[CausePart, ...]:
             remedy=cause.hypothesis.remedy,
             fits_as_well=tuple(found.others(cause)),
             told_apart_by=cause.hypothesis.tells,
+            beside=cause.beside,
         )
         for cause in found.causes
     )

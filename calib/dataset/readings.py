@@ -9,9 +9,8 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
@@ -19,8 +18,8 @@ from calib.core.arrays import BoolArray, FloatArray, IntArray
 from calib.core.errors import InputError
 from calib.dataset.cells import check_header, parse_number
 from calib.dataset.messages import shown, text_fault
-from calib.dataset.plausible import LARGEST_COTANGENT, LARGEST_NORMALISED, RADIANS_BELOW
 from calib.dataset.readers import GAZE_COLUMNS, REFERENCE_COLUMN
+from calib.dataset.reading_values import value_faults
 from calib.dataset.tables import GazeTable, freeze
 
 NUMBERS = ("x1c", "y1c", "u1_px", "v1_px", "alpha2_deg", "ctan_alpha2", "u2_px")
@@ -240,7 +239,8 @@ class _Rows:
         self._check_names()
         values = {column: self.numbers(column) for column in NUMBERS}
         self._check_sources()
-        self._check_values(values)
+        for i, fault in value_faults(values).items():
+            self.faults.setdefault(i, fault)
         good = np.array([i for i in range(self.count) if i not in self.faults], dtype=np.int64)
         if len(good) == self.count:
             table = self._table(name, lines, ids, values)
@@ -299,10 +299,10 @@ class _Rows:
             return np.zeros(self.count, dtype=np.bool_)
         return np.fromiter(map(bool, self.columns[column]), np.bool_, self.count)
 
-    def mark(self, bad: BoolArray, fault: str | Callable[[int], str]) -> None:
+    def mark(self, bad: BoolArray, fault: str) -> None:
         """Give rows a fault; the first one counts."""
         for i in map(int, np.flatnonzero(bad)):
-            self.faults.setdefault(i, fault if isinstance(fault, str) else fault(i))
+            self.faults.setdefault(i, fault)
 
     def numbers(self, column: str) -> FloatArray:
         """Return a column as numbers, NaN where empty or faulty."""
@@ -348,38 +348,3 @@ class _Rows:
         degrees, cotangent = self.filled("alpha2_deg"), self.filled("ctan_alpha2")
         self.mark(degrees & cotangent, "alpha2_deg and ctan_alpha2 are given: give one of them")
         self.mark(~(degrees | cotangent), "alpha2_deg is empty")
-
-    def _check_values(self, values: dict[str, FloatArray]) -> None:
-        degrees, cotangent = values["alpha2_deg"], values["ctan_alpha2"]
-        self.mark(
-            (degrees <= 0) | (degrees >= 180),
-            lambda i: _outside(float(degrees[i])),
-        )
-        self.mark(
-            (degrees > 0) & (degrees < RADIANS_BELOW),
-            lambda i: f"alpha2_deg {degrees[i]:g}: radians? give degrees",
-        )
-        self.mark(
-            np.abs(cotangent) > LARGEST_COTANGENT,
-            lambda i: f"ctan_alpha2 {cotangent[i]:g} looks like an angle",
-        )
-        for column in ("x1c", "y1c"):
-            self.mark(
-                np.abs(values[column]) > LARGEST_NORMALISED,
-                partial(_looks_like_pixels, column, values[column]),
-            )
-
-
-def _outside(degrees: float) -> str:
-    """Return what is wrong with a reading that is outside (0, 180)."""
-    if -90 < degrees < 0:
-        guess = ": counted about 0? at 90 C2 looks parallel to Z of C1"
-    elif abs(degrees) > 360 and degrees.is_integer():
-        guess = ": a count? give it times resolution_deg"
-    else:
-        guess = ""
-    return f"alpha2_deg {degrees:g} is outside (0, 180){guess}"
-
-
-def _looks_like_pixels(column: str, values: FloatArray, row: int) -> str:
-    return f"{column} {values[row]:g} looks like pixels"

@@ -66,8 +66,9 @@ class JointLens(Part):
 class Intrinsics(Lens):
     """The selected intrinsics of one camera."""
 
-    source: Literal["mrcal", "opencv", "given"] = Field(
-        description="whose solve of the camera's own pictures; a joint solve may have refined it"
+    source: Literal["mrcal", "opencv", "joint", "given"] = Field(
+        description="whose solve of the camera's own pictures (joint: this program's own); a joint "
+        "solve may have refined it"
     )
     joint: JointLens | None = Field(None, description="where a joint solve refined them")
     covariance: Matrix | None = Field(None, description="of fx, fy, cx, cy, distortion; px and 1")

@@ -144,6 +144,7 @@ class BoardCorner(_AnyLens):
 
 
 def board_corners(grey: Grey, board: Board) -> FloatArray:
+    """Return a board's corners in a picture, px, shape (corners, 2); NaN where not seen."""
     """Return the corners of a board in a picture, px, (corners, 2); NaN where not found."""
     if board.type == "charuco":
         return CharucoFinder(board).find(grey).pixels
@@ -341,4 +342,9 @@ def _tag(text: str, rest: str) -> Tag:
         raise UsageError(f"--target {text}: unknown dictionary {dictionary!r}; {hint}")
     if not (number.isascii() and number.isdigit()):
         raise UsageError(f"--target {text}: write tag:DICTIONARY:ID, such as tag:{dictionary}:7")
+    known = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary))
+    if int(number) >= len(known.bytesList):
+        raise UsageError(
+            f"--target {text}: tags of {dictionary} end with {len(known.bytesList) - 1}"
+        )
     return Tag(dictionary, int(number))

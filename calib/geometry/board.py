@@ -100,7 +100,7 @@ class LensFit:
     Parameters
     ----------
     backend
-        "opencv" or "mrcal".
+        "opencv", "mrcal", or "joint" of this program's own solves.
     lens_model
         Name in the backend's own words.
     camera

@@ -27,8 +27,7 @@ _COSINE_MIN = 0.05
 def wide_view_pose(camera: Camera, *, points: FloatArray, pixels: FloatArray) -> FloatArray:
     """Return the pose camera from board, rad and mm, shape (6,).
 
-    The start is that of a pinhole camera which looks at the middle of the board, where no ray is
-    far off the axis; then the squares of the residuals in the picture are minimised.
+    The one that minimises the squares of the residuals in the picture, started from `first_pose`.
 
     Parameters
     ----------
@@ -41,6 +40,24 @@ def wide_view_pose(camera: Camera, *, points: FloatArray, pixels: FloatArray) ->
     ------
     EstimationError
         If the lens has rays for fewer than four corners.
+    """
+    pose = first_pose(camera, points=points, pixels=pixels)
+
+    def evaluate(pose: FloatArray) -> list[Block]:
+        view = project_points(camera, transform(pose, points))
+        jacobian = view.by_point @ transformed_by_pose(pose, points)
+        return [Block((view.pixels - pixels).ravel(), jacobian.reshape(-1, 6), np.arange(6))]
+
+    try:
+        return minimise(evaluate, pose).x
+    except EstimationError:
+        return pose
+
+
+def first_pose(camera: Camera, *, points: FloatArray, pixels: FloatArray) -> FloatArray:
+    """Return the pose by a pinhole camera that looks at the middle of the board.
+
+    No ray is far off its axis. Parameters and errors as of `wide_view_pose`.
     """
     xy = normalise(camera, pixels, strict=False)
     seen = finite(xy)
@@ -55,18 +72,7 @@ def wide_view_pose(camera: Camera, *, points: FloatArray, pixels: FloatArray) ->
         )
     flat = turned[near, :2] / turned[near, 2:]
     _, turn, shift = cv2.solvePnP(points[seen][near], flat, np.eye(3), None)
-    start = back @ pose_matrix(np.concatenate([turn.ravel(), shift.ravel()]))
-
-    def evaluate(pose: FloatArray) -> list[Block]:
-        view = project_points(camera, transform(pose, points))
-        jacobian = view.by_point @ transformed_by_pose(pose, points)
-        return [Block((view.pixels - pixels).ravel(), jacobian.reshape(-1, 6), np.arange(6))]
-
-    pose = pose_vector(start)
-    try:
-        return minimise(evaluate, pose).x
-    except EstimationError:
-        return pose
+    return pose_vector(back @ pose_matrix(np.concatenate([turn.ravel(), shift.ravel()])))
 
 
 def _towards_axis(rays: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -25,7 +25,7 @@ from calib.live.record import Record
 from calib.live.scene import rig_scene
 from calib.rig.check_file import check_path, read_check
 from calib.rig.devices import RigDevices
-from calib.rig.known import known_board, known_lens
+from calib.rig.known import Role, known_board, known_lens
 
 PLATE: Final = "plate:1400,500,10"
 """What the virtual rig puts up where a plate's corner is asked for and rig.toml names no plate."""
@@ -212,9 +212,14 @@ class Bench:
         if theta is not None and c1 is not None and c2 is not None:
             self.record.put(scene=rig_scene(theta, c1, c2, depths))
 
+    def lens(self, role: Role) -> Camera | None:
+        """Return a camera's lens as far as it is known."""
+        _, c1, c2, _ = self._known()
+        return c1 if role == "c1" else c2
+
     def centre_column(self) -> float | None:
         """Return C2's centre column in its middle row, px; None while its lens is unknown."""
-        lens = self._known()[2]
+        lens = self.lens("c2")
         return None if lens is None else float(lens.matrix[0, 2])
 
     def theta(self) -> FloatArray | None:

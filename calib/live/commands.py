@@ -12,6 +12,7 @@ Name = Annotated[str, Field(min_length=1, max_length=80)]
 
 ROWS_MAX: Final = 500
 GAZES_MAX: Final = 100
+PIXELS_MAX: Final = 100_000
 
 
 class _Command(BaseModel):
@@ -76,6 +77,15 @@ class Mark(_Command):
     target: Name
 
 
+class Pick(_Command):
+    """Name the target at a place in a camera's picture, px, and mark it."""
+
+    do: Literal["pick"]
+    camera: Literal["c1", "c2"]
+    u: Annotated[float, Field(ge=0, le=PIXELS_MAX)]
+    v: Annotated[float, Field(ge=0, le=PIXELS_MAX)]
+
+
 class Stop(_Command):
     """Stop the motor and forget what was to be done."""
 
@@ -98,7 +108,7 @@ class Picture(_Command):
 Job: TypeAlias = Check | Capture | Pictures | Calibrate | Gaze | Length
 """What the worker does, one after the other."""
 
-Command: TypeAlias = Job | Answer | Mark | Stop | Take | Picture
+Command: TypeAlias = Job | Answer | Mark | Pick | Stop | Take | Picture
 
 _ADAPTER: TypeAdapter[Command] = TypeAdapter(Annotated[Command, Field(discriminator="do")])
 

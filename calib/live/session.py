@@ -13,18 +13,21 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
+
 from calib.core.errors import CalibError, UsageError
 from calib.gaze import length as lengths
+from calib.gaze.picking import target_near
 from calib.gaze.table import header
 from calib.gaze.target import Target
 from calib.live import jobs
 from calib.live.bench import Bench, Places, with_axis
-from calib.live.commands import DRIVING, REPEATABLE, Answer, Capture, Gaze, Job, Length, Mark
+from calib.live.commands import DRIVING, REPEATABLE, Answer, Capture, Gaze, Job, Length, Mark, Pick
 from calib.live.guarded import GuardedAxis, Stopped
 from calib.live.record import Record
 from calib.live.scene import heading
 from calib.live.streams import Stream
-from calib.rig.devices import RigDevices, open_rig
+from calib.rig.devices import RigDevices, alone, open_rig
 from calib.rig.protocols import Interrupted
 from calib.rig.settings import RigSettings
 
@@ -139,6 +142,29 @@ class Session:
             self._marked = (self._bench.target(mark.target),)
             self.record.put(marked=mark.target)
 
+    def pick(self, pick: Pick) -> str:
+        """Return the name of the target at a place in a picture, and mark it.
+
+        Raises
+        ------
+        UsageError
+            If there is none.
+        """
+        bench = self._bench
+        if bench is None:
+            raise UsageError("the rig is not open yet")
+        frame = (bench.rig.c1 if pick.camera == "c1" else bench.rig.c2).latest()
+        lens = bench.lens(pick.camera)
+        place = np.array([pick.u, pick.v])
+        name = frame and target_near(frame.pixels, place, board=bench.board, lens=lens)
+        if not name:
+            raise UsageError(
+                "nothing there that can be gazed at: a corner of the board, a tag, a cross, a "
+                "disc, a plate's corner"
+            )
+        self.mark(Mark(do="mark", target=name))
+        return name
+
     def stop(self) -> None:
         """Stop the motor at once, end the job and forget those that wait."""
         with self._lock:
@@ -179,7 +205,8 @@ class Session:
 
     def _run(self) -> None:
         try:
-            with open_rig(self._given.settings) as opened:
+            given = self._given
+            with alone(given.places.rig_file, given.settings), open_rig(given.settings) as opened:
                 axis = GuardedAxis(opened.axis, self._turned)
                 self._begin(with_axis(opened, axis), axis)
                 try:

@@ -75,7 +75,7 @@ def files(lab):
 
 def table(lab):
     path = lab / "mine" / "sweep.csv"
-    return list(csv.DictReader(path.open())) if path.exists() else []
+    return list(csv.DictReader(path.read_text().splitlines())) if path.exists() else []
 
 
 def views(lab, kind):

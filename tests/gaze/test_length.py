@@ -23,7 +23,7 @@ ENDS = PlateCorner("left-upper"), PlateCorner("right-upper")
 U_LOAD_DEG = 0.009 / np.sqrt(12)
 
 
-def lengths(count, plate, **virtual):
+def lengths(count, plate, *, depths=None, **virtual):
     """Measure a plate put up in so many places; return (length - truth) / u, and each u, mm."""
     true = float(plate.partition(":")[2].partition(",")[0])
     scores, us = [], []
@@ -32,7 +32,7 @@ def lengths(count, plate, **virtual):
         eye.lens_c1 = rig.world.rig.c1
         instrument = measuring(rig, u_alpha2_deg=U_LOAD_DEG)
         for _ in range(count):
-            hand.show_plate()
+            hand.show_plate(depths)
             found = gaze_length(eye, aiming(rig), instrument, ENDS, model="selected")
             scores.append((found.length_mm - true) / found.u_mm)
             us.append(found.u_mm)
@@ -51,9 +51,13 @@ def test_plates_are_as_long_as_they_are(radius):
 @pytest.mark.parametrize("radius", [0, 10, 30])
 @pytest.mark.parametrize("size", ["1400,500", "500,300", "400,300"])
 def test_plates_in_twenty_places(size, radius):
-    scores, _ = lengths(20, f"plate:{size},{radius}", seed=4)
+    depths = (1000.0, 2000.0)
+    scores, u = lengths(20, f"plate:{size},{radius}", depths=depths, seed=4)
     assert np.mean(np.abs(scores) < 3) >= 0.99
     assert 0.4 < np.sqrt(np.mean(scores**2)) < 1.4
+    # Over 2 mm where the plate runs farthest in depth: one pose of twenty.
+    assert np.mean(u < 2) >= 0.9
+    assert np.median(u) < 1.5
 
 
 def test_a_plate_that_moved_between_its_ends_has_no_length():

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from calib.core.errors import UsageError
+from calib.gaze.picking import target_near
 from calib.gaze.target import Blob, BoardCorner, Cross, Tag, target
 from calib.geometry.board import Board
 from calib.geometry.camera import Camera, project
@@ -107,6 +108,21 @@ def test_it_is_not_found_where_another_target_is(kind):
     assert what.find(np.full((480, 640), 90, np.uint8)) is None
 
 
+@pytest.mark.parametrize("kind", ["chessboard", "tag", "cross"])
+def test_pointing_names_the_nearest_that_can_be_gazed_at(kind):
+    what, pattern, point = SCENES[kind]()
+    board = getattr(what, "board", BOARD)
+    picture, true = view(pattern, point, np.random.default_rng(6))
+    named = target_near(picture, true + np.array([4, -3]), board=board, lens=CAMERA)
+    assert named == what.name
+    assert target(named, board).find(picture) is not None
+    if kind == "chessboard":
+        other = target("corner:1,2", board)
+        there = other.find(picture).pixel
+        assert target_near(picture, there, board=board, lens=None) == "corner:1,2"
+        assert target_near(picture, np.array([5.0, 5.0]), board=board, lens=None) is None
+
+
 def test_a_cross_with_arms_too_short_for_its_window_is_not_measured():
     rng = np.random.default_rng(5)
     for _ in range(6):
@@ -125,6 +141,7 @@ def test_a_cross_with_arms_too_short_for_its_window_is_not_measured():
         ("corner:a", "write corner:COLUMN,ROW"),
         ("tag:DICT_4X4_51:1", "DICT_4X4_50"),
         ("tag:DICT_4X4_50:one", "such as tag:DICT_4X4_50:7"),
+        ("tag:DICT_4X4_50:50", "end with 49"),
     ],
 )
 def test_a_name_that_is_none_is_refused(text, says):

@@ -9,15 +9,16 @@ import pytest
 from calib.core.arrays import FloatArray
 from calib.geometry.board import Corners
 from calib.geometry.camera import Camera
-from calib.images.intrinsics.by_opencv import LENSES, fit_opencv
+from calib.images.intrinsics.by_opencv import fit_opencv
+from calib.images.intrinsics.lenses import PERSPECTIVE
 from calib.images.intrinsics.validate import CrossValidation, cross_validate, select_lens
 
 EQUIDISTANT_PX = 260.0
-POINTS = dict.fromkeys(LENSES, scenes.BOARD.object_points())
+POINTS = dict.fromkeys(PERSPECTIVE, scenes.BOARD.object_points())
 
 
 def validate(found: Corners) -> CrossValidation:
-    fits = {lens: fit_opencv(found, scenes.BOARD, lens=lens) for lens in LENSES}
+    fits = {lens: fit_opencv(found, scenes.BOARD, lens=lens) for lens in PERSPECTIVE}
     return cross_validate(found, scenes.BOARD, fits, points=POINTS)
 
 

@@ -14,7 +14,7 @@ import time
 
 import pytest
 from live_server import live, settings
-from playwright.sync_api import sync_playwright
+from playwright.sync_api import expect, sync_playwright
 from websockets.sync.client import connect
 
 from calib.geometry.camera import project
@@ -57,11 +57,25 @@ def page_of(browser):
     assert faults == []
 
 
+@pytest.fixture(scope="module")
+def server(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("served")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        with live(folder) as server:
+            yield server
+
+
 @pytest.fixture
-def served(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    with live(tmp_path) as server:
-        yield server
+def served(server):
+    """Give the server at rest, with a board before both cameras and no page open."""
+    with connect(f"ws://127.0.0.1:{server.port}/ws") as socket:
+        while json.loads(socket.recv(timeout=30))["page"]["owned"]:
+            pass
+    server.session._bench.hand("board").place("here")
+    yield server
+    server.session.stop()
+    server.idle(seconds=30)
 
 
 def at_rest(server):
@@ -104,6 +118,22 @@ def test_a_camera_that_is_lost_is_seen_to_be(served, page_of, monkeypatch):
         assert "target at" in page.inner_text("#c1-text")
     page.wait_for_selector("#c2:not(.stale)")
     page.wait_for_selector("#c2-text:has-text('target at')")
+
+
+def test_a_click_on_a_picture_names_the_target_there(served, page_of):
+    page = page_of(served.url)
+    page.wait_for_selector("#c1[data-target]")
+    world = served.session._bench.rig.world
+    pose = world.pose(world.clock.now_ns())
+    corner = world.board.object_points()[world.board.columns + 2]  # column 2, row 1
+    u, v = project(world.rig.c1, (pose[:3, :3] @ corner + pose[:3, 3])[None])[0]
+    scale = page.evaluate("c1.clientWidth / c1.width")
+    page.focus("#to")
+    page.click("#c1", position={"x": u * scale, "y": v * scale})
+    expect(page.locator("#to")).to_have_value("corner:2,1", timeout=LONG_MS)
+    assert page.input_value("#target") == "board"
+    page.click("#c1", position={"x": 3, "y": 3})
+    page.wait_for_selector("#notice:has-text('nothing there')")
 
 
 def test_a_click_that_is_doubled_is_one(served, page_of):

@@ -24,7 +24,9 @@ from calib.images.mrcal.solves import (
     focal_start,
     lens_fits,
     solve,
+    splined_field,
     splined_lens,
+    wide_focal,
 )
 from calib.images.pairs import single_view_pose
 
@@ -42,7 +44,7 @@ class MrcalFits:
     Parameters
     ----------
     fits
-        By the names of `calib.images.intrinsics.by_opencv.LENSES`.
+        By the names of `calib.images.intrinsics.lenses.LENSES`.
     grids
         mrcal's own account of rays and projection uncertainty of each.
     model_files
@@ -85,6 +87,7 @@ def fit_mrcal(
     seed: int,
     grid: tuple[int, int],
     others: Mapping[str, LensFit],
+    field_deg: tuple[float, float] | None = None,
 ) -> MrcalFits:
     """Return intrinsics by mrcal for each lens model, and with a splined one; the board may bow.
 
@@ -100,9 +103,15 @@ def fit_mrcal(
         Rows and columns of the grids of rays.
     others
         Fits of another backend to the same corners, by lens model.
+    field_deg
+        Of a wide lens: its field of view across and down, which the spline is to cover.
     """
     focal = focal_start(corners, board)
-    splined = splined_lens(corners, focal_px=focal)
+    if field_deg is None:
+        splined = splined_lens(corners, focal_px=focal)
+    else:
+        splined = splined_field(*field_deg)
+        focal = wide_focal(corners, field_deg[0])
     models = {name: LENS_MODELS[count] for name, count in lenses.items()} | {SPLINED: splined}
 
     def attempt(name: str) -> MrcalSolution | Exception:

@@ -1,4 +1,4 @@
-"""Intrinsics of one camera by OpenCV's bundle adjustment, with outliers rejected and covariance."""
+"""Intrinsics of one camera by OpenCV's solvers, with outliers rejected and covariance."""
 
 from __future__ import annotations
 
@@ -14,20 +14,12 @@ from calib.core.errors import EstimationError
 from calib.geometry.board import Board, Corners, LensFit
 from calib.geometry.camera import Camera, camera_from_vector, project_points
 from calib.geometry.poses import transform
-from calib.images.checks import outlier_limit
 from calib.images.detection.grid import seen
+from calib.images.intrinsics.by_views import equidistant_start
 from calib.images.intrinsics.covariance import view_scores
+from calib.images.intrinsics.inliers import without_outliers
+from calib.images.intrinsics.lenses import LENSES
 from calib.images.mrcal.solves import MIN_CORNERS, MIN_VIEWS, focal_start
-
-LENSES: Mapping[str, int] = MappingProxyType({"plumb-bob": 5, "rational": 8})
-"""Lens models tried, simplest first, with their number of distortion coefficients."""
-
-PEEL_SHARE = 0.5
-"""Of a view's outliers only those beyond this share of its largest residual go in one round: a
-corner far off bends the pose, and with it the residuals of good corners."""
-
-VIEW_SHARE_MIN = 0.5
-"""A view that loses more than half of its corners as outliers is dropped altogether."""
 
 MAX_STEPS, DONE = 300, 1e-9
 """When OpenCV's solver stops: its own default of 30 steps falls short, and along the valley of
@@ -35,6 +27,7 @@ nearly equal cost of a rational lens 300 steps reach the rms of 1000 to 7 digits
 
 _ROUNDS = 12
 _FLAGS: Mapping[int, int] = MappingProxyType({5: 0, 8: cv2.CALIB_RATIONAL_MODEL})
+_FISHEYE_FLAGS = cv2.CALIB_USE_INTRINSIC_GUESS | cv2.CALIB_RECOMPUTE_EXTRINSIC | cv2.CALIB_FIX_SKEW
 _CRITERIA = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, MAX_STEPS, DONE)
 
 
@@ -62,7 +55,7 @@ def fit_opencv(
     points: FloatArray | None = None,
     start: Camera | None = None,
 ) -> LensFit:
-    """Return intrinsics by OpenCV's calibrateCamera.
+    """Return intrinsics by OpenCV's calibrateCamera, of wide lenses by that of cv2.fisheye.
 
     Corners whose residuals stand out, largest first, and views that lose too many are left out and
     the rest is solved again. The covariance is that of least squares, from the jacobian at the
@@ -88,7 +81,7 @@ def fit_opencv(
     for _ in range(_ROUNDS):
         solution = solve_views(corners, board, used, lens=lens, points=points, start=start)
         residuals = residuals_of(solution, corners, points)
-        kept = _without_outliers(residuals, used)
+        kept = without_outliers(residuals, used)
         if np.array_equal(kept, used):
             break
         used, start = kept, solution.camera
@@ -124,24 +117,38 @@ def solve_views(
     EstimationError
         If there are too few views, or OpenCV fails or ends nowhere.
     """
-    count = LENSES[lens]
+    count = LENSES[lens].count
     views = np.flatnonzero(used.any(axis=-1))
     if len(views) < MIN_VIEWS:
         raise EstimationError(
             f"OpenCV: {len(views)} usable views and {MIN_VIEWS} are needed; take more board images"
         )
-    focal = focal_start(corners, board) if start is None else 0.0
-    matrix, distortion = _start(start, focal, count, corners.image_size)
+    boards = [points[used[i]] for i in views]
+    found = [corners.pixels[i][used[i]] for i in views]
     try:
-        _, matrix, distortion, turns, shifts = cv2.calibrateCamera(
-            [points[used[i]].astype(np.float32) for i in views],
-            [corners.pixels[i][used[i]].astype(np.float32) for i in views],
-            corners.image_size,
-            matrix,
-            distortion,
-            flags=cv2.CALIB_USE_INTRINSIC_GUESS | _FLAGS[count],
-            criteria=_CRITERIA,
-        )
+        if LENSES[lens].projection == "equidistant":
+            begin = equidistant_start(corners, points) if start is None else start
+            _, matrix, distortion, turns, shifts = cv2.fisheye.calibrate(
+                [shown[None] for shown in boards],
+                [view[None] for view in found],
+                corners.image_size,
+                begin.matrix.copy(),
+                begin.distortion[:, None].copy(),
+                flags=_FISHEYE_FLAGS,
+                criteria=_CRITERIA,
+            )
+        else:
+            focal = focal_start(corners, board) if start is None else 0.0
+            matrix, distortion = _start(start, focal, count, corners.image_size)
+            _, matrix, distortion, turns, shifts = cv2.calibrateCamera(
+                [shown.astype(np.float32) for shown in boards],
+                [view.astype(np.float32) for view in found],
+                corners.image_size,
+                matrix,
+                distortion,
+                flags=cv2.CALIB_USE_INTRINSIC_GUESS | _FLAGS[count],
+                criteria=_CRITERIA,
+            )
     except cv2.error as error:
         raise EstimationError(
             f"OpenCV found no solution for the {lens} lens ({error.err}); check the board's size "
@@ -156,7 +163,8 @@ def solve_views(
             f"OpenCV's solution for the {lens} lens is not finite; take board images with other "
             "tilts and distances"
         )
-    return Solution(camera_from_vector(vector, corners.image_size), poses)
+    projection = LENSES[lens].projection
+    return Solution(camera_from_vector(vector, corners.image_size, projection), poses)
 
 
 def _start(
@@ -180,15 +188,3 @@ def residuals_of(solution: Solution, corners: Corners, points: FloatArray) -> Fl
         moved = transform(solution.poses[i], points)
         residuals[i] = corners.pixels[i] - project_points(solution.camera, moved).pixels
     return residuals
-
-
-def _without_outliers(residuals: FloatArray, used: BoolArray) -> BoolArray:
-    """Return which corners, shape (views, corners), to use next."""
-    size = np.where(used, np.abs(residuals).max(axis=-1), 0.0)
-    limit = outlier_limit(np.where(used[..., None], residuals, np.nan))
-    kept: BoolArray = used & (
-        size <= np.maximum(limit, PEEL_SHARE * size.max(axis=-1, keepdims=True))
-    )
-    whole = seen(residuals).sum(axis=-1)
-    kept[kept.sum(axis=-1) < np.maximum(MIN_CORNERS, VIEW_SHARE_MIN * whole)] = False
-    return kept

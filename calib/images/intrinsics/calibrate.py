@@ -5,18 +5,18 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import numpy as np
 
-from calib.core.arrays import BoolArray, FloatArray, IntArray
+from calib.core.arrays import FloatArray, IntArray
 from calib.core.errors import EstimationError, InputError
 from calib.core.gate import Gate
 from calib.geometry.board import Board, Corners, LensFit
 from calib.geometry.camera import Camera
 from calib.images.bundle import deformed
 from calib.images.detection.grid import seen
-from calib.images.intrinsics.by_mrcal import MrcalFits, fit_mrcal
-from calib.images.intrinsics.by_opencv import LENSES, fit_opencv
+from calib.images.intrinsics.backends import Backends, solve_backends, views_of
 from calib.images.intrinsics.covariance import view_scores
 from calib.images.intrinsics.flips import flipped_pictures, way_gate
 from calib.images.intrinsics.gates import (
@@ -26,7 +26,6 @@ from calib.images.intrinsics.gates import (
     views_left_out,
 )
 from calib.images.intrinsics.maps import (
-    GRID,
     Coverage,
     LensDifference,
     LensMap,
@@ -42,6 +41,7 @@ from calib.images.intrinsics.remarks import (
     backend_warnings,
     better,
     board_warning,
+    other_fits_better,
     picture_warnings,
 )
 from calib.images.intrinsics.validate import CrossValidation, cross_validate
@@ -54,8 +54,10 @@ MIN_VIEWS = 6
 """Views needed: three leave nine or more intrinsics without a check, and cross-validation wants to
 leave some out."""
 
-ON_SOLVED_BOARD = " on mrcal's board"
-"""Added to the lens model of OpenCV's fits to the board as mrcal solved it."""
+ON_SOLVED_BOARD = MappingProxyType(
+    {"mrcal": " on mrcal's board", "joint": " on the board as solved here"}
+)
+"""Added to the lens model of OpenCV's fits to the board as another backend solved it."""
 
 
 @dataclass(frozen=True)
@@ -151,85 +153,13 @@ def calibrate_intrinsics(corners: Corners, board: Board, *, camera: str, seed: i
     _require_views(corners, board, camera)
     try:
         with steady_opencv():
-            backends = _solve(corners, board, seed)
-            validation = cross_validate(corners, board, backends.checked, points=backends.points)
+            backends = solve_backends(corners, board, seed)
+            validation = cross_validate(corners, board, backends.tested, points=backends.points)
             return _assemble(
                 corners, backends, validation, camera=camera, repeated=repeated, board=board
             )
     except EstimationError as error:
         raise EstimationError(_diagnosis(corners, board, camera, error)) from error
-
-
-@dataclass(frozen=True)
-class _Backends:
-    """Fits by lens model.
-
-    `flat` are OpenCV's fits to the board as drawn, `checked` to `points`, the board as mrcal solved
-    it, mm (as drawn without mrcal); `failed` says which lens models the views do not determine.
-    """
-
-    flat: Mapping[str, LensFit]
-    checked: Mapping[str, LensFit]
-    points: Mapping[str, FloatArray]
-    mrcal: MrcalFits
-    failed: tuple[str, ...]
-
-    @property
-    def all(self) -> tuple[LensFit, ...]:
-        """The fits that are reported."""
-        return (*self.flat.values(), *self.mrcal.fits.values())
-
-
-def _solve(corners: Corners, board: Board, seed: int) -> _Backends:
-    """Solve with OpenCV, then with mrcal without the views that OpenCV found wrong with any lens.
-
-    A view that mrcal discards corner by corner, to the last, leaves its pose open and the solve
-    without a covariance.
-    """
-    drawn = dict.fromkeys(LENSES, board.object_points())
-    flat, failed = _fit_lenses(corners, board, {}, drawn)
-    if next(iter(LENSES)) not in flat:
-        raise EstimationError("; ".join(failed))
-    used = np.any([_views_of(fit) for fit in flat.values()], axis=0)
-    unused = seen(corners.pixels) & ~used[:, None]
-    kept = replace(corners, pixels=np.where(unused[..., None], np.nan, corners.pixels))
-    mrcal = fit_mrcal(kept, board, lenses=LENSES, seed=seed, grid=GRID, others=flat)
-    mrcal = replace(
-        mrcal,
-        fits={
-            lens: replace(fit, rejected=fit.rejected + int(unused.sum()))
-            for lens, fit in mrcal.fits.items()
-        },
-    )
-    if not mrcal.fits:
-        return _Backends(flat, flat, drawn, mrcal, failed)
-    points = drawn | {
-        lens: deformed(drawn[lens], fit.board_warp_mm) for lens, fit in mrcal.fits.items()
-    }
-    checked, failed = _fit_lenses(corners, board, flat, points)
-    return _Backends(flat, checked, points, mrcal, failed)
-
-
-def _views_of(fit: LensFit) -> BoolArray:
-    """Return which views a fit uses, shape (views,)."""
-    return np.asarray(np.isfinite(fit.residuals).any(axis=(1, 2)))
-
-
-def _fit_lenses(
-    corners: Corners,
-    board: Board,
-    start: Mapping[str, LensFit],
-    points: Mapping[str, FloatArray],
-) -> tuple[dict[str, LensFit], tuple[str, ...]]:
-    """Return OpenCV's fits by lens model, and why others failed."""
-    fits, failed = {}, []
-    for lens in LENSES:
-        begin = start[lens].camera if lens in start else None
-        try:
-            fits[lens] = fit_opencv(corners, board, lens=lens, points=points[lens], start=begin)
-        except EstimationError as error:
-            failed.append(f"{lens}: {error}")
-    return fits, tuple(failed)
 
 
 def _distinct(corners: Corners) -> tuple[Corners, tuple[str, ...]]:
@@ -277,7 +207,7 @@ def _diagnosis(corners: Corners, board: Board, camera: str, error: EstimationErr
 
 def _assemble(
     corners: Corners,
-    backends: _Backends,
+    backends: Backends,
     validation: CrossValidation,
     *,
     camera: str,
@@ -287,7 +217,7 @@ def _assemble(
     """Select a fit and judge it."""
     drawn = board.object_points()
     lens, mrcal = validation.chosen, backends.mrcal
-    selected, worse = better(mrcal.fits.get(lens), backends.checked[lens])
+    selected, worse = better(backends.bowed.get(lens), backends.checked.get(lens))
     points = backends.points[lens]
     clusters = repeat_clusters(corners.pixels, drawn)
     enlarged, dispersion = _enlarged(selected, points, clusters)
@@ -296,16 +226,17 @@ def _assemble(
     at = nodes(inliers, corners.image_size)
     uncertainty = map_uncertainty(enlarged, at)
     agreement, splined, others = _differences(enlarged, selected, backends, lens, at)
-    unused = seen(corners.pixels).any(axis=-1) & ~_views_of(selected)
+    unused = seen(corners.pixels).any(axis=-1) & ~views_of(selected)
     flipped = flipped_pictures(
         corners,
         board,
-        backends.checked[lens],
+        backends.tested[lens],
         points=backends.points[lens],
         factor=dispersion,
     )
     left_out = views_left_out(corners.images, corners.pixels, selected.residuals)
     drawn_fit = backends.flat.get(lens)
+    others_better = other_fits_better(selected, [f for f in backends.all if f is not selected])
     flat = (
         compare(enlarged, rays_of(drawn_fit, at), at)
         if drawn_fit is not None and agreement is not None
@@ -341,12 +272,12 @@ def _assemble(
         validation=validation,
         model_files=mrcal.model_files,
         mrcal_version=None if mrcal.missing else mrcal.version,
-        gates=(*gates, way_gate(camera, flipped, int(_views_of(selected).sum()))),
+        gates=(*gates, way_gate(camera, flipped, int(views_of(selected).sum()))),
         warnings=(
             *picture_warnings(camera, corners, repeated, left_out.images),
             *repeats_warning(camera, corners.images, clusters),
             *backend_warnings(camera, mrcal),
-            *([f"{camera}: {worse}"] if worse else []),
+            *(f"{camera}: {said}" for said in (worse, *others_better) if said),
             *board_warning(camera, selected, corners, board),
             *intrinsics_warnings(camera, gates, dispersion=dispersion, splined=splined),
         ),
@@ -366,22 +297,22 @@ def _enlarged(fit: LensFit, points: FloatArray, clusters: IntArray) -> tuple[Len
     """
     bow = fit.board_warp_mm is not None
     scores = view_scores(fit.camera, fit.poses, fit.residuals, points, bow=bow)
-    factor = scores.dispersion(clusters[_views_of(fit)])
+    factor = scores.dispersion(clusters[views_of(fit)])
     covariance = fit.covariance * factor + scores.board_covariance()
     return replace(fit, covariance=covariance), factor
 
 
 def _differences(
-    enlarged: LensFit, selected: LensFit, backends: _Backends, lens: str, at: Nodes
+    enlarged: LensFit, selected: LensFit, backends: Backends, lens: str, at: Nodes
 ) -> tuple[LensDifference | None, LensDifference | None, list[LensDifference]]:
     """Return how the selected fit differs from the other backend's, from a spline, from the rest.
 
     `enlarged` is the selected one with its final covariance.
     """
     agreement = splined = None
-    if selected.backend == "mrcal":
-        checked = backends.checked[lens]
-        shaped = replace(checked, lens_model=checked.lens_model + ON_SOLVED_BOARD)
+    checked = backends.checked.get(lens)
+    if selected.backend != "opencv" and checked is not None:
+        shaped = replace(checked, lens_model=checked.lens_model + ON_SOLVED_BOARD[selected.backend])
         agreement = compare(enlarged, rays_of(shaped, at), at)
     spline = backends.mrcal.splined
     if spline is not None:
@@ -390,11 +321,13 @@ def _differences(
     return agreement, splined, [compare(enlarged, rays_of(fit, at), at) for fit in others]
 
 
-def _selection(selected: LensFit, validation: CrossValidation, backends: _Backends) -> str:
+def _selection(selected: LensFit, validation: CrossValidation, backends: Backends) -> str:
     """Say which fit was selected and why."""
     mrcal = backends.mrcal
     if selected.backend == "mrcal":
         backend = "mrcal, which solves the deformation of the board too"
+    elif selected.backend == "joint":
+        backend = "this program's own least squares, which solve the deformation of the board too"
     else:
         backend = "OpenCV, " + ("alone here" if mrcal.missing else "as mrcal found none so good")
     return "; ".join([validation.reason, *backends.failed, f"by {backend}"])

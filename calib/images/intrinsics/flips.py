@@ -16,7 +16,8 @@ from calib.core.errors import EstimationError
 from calib.core.gate import Gate
 from calib.geometry.board import Board, Corners, LensFit
 from calib.images.bundle import finite
-from calib.images.intrinsics.by_opencv import LENSES, fit_opencv
+from calib.images.intrinsics.lenses import lens_of
+from calib.images.intrinsics.solvers import fit_lens
 from calib.images.mrcal.solves import MIN_CORNERS
 from calib.images.pairs import single_view_pose
 
@@ -61,7 +62,7 @@ def flipped_pictures(
     count = used.sum(axis=-1)
     views = np.flatnonzero(count >= MIN_CORNERS)
     ways = np.zeros(len(used), dtype=np.int64)
-    lens = next(name for name, k in LENSES.items() if k == len(fit.camera.distortion))
+    lens = lens_of(fit.camera)
     current = fit
     every = range(len(_WAYS))
     put = [_put(corners, board, used, np.full(len(used), way)) for way in every]
@@ -76,7 +77,7 @@ def flipped_pictures(
         ways = chosen
         try:
             now = _put(corners, board, used, ways)
-            current = fit_opencv(now, board, lens=lens, points=points, start=fit.camera)
+            current = fit_lens(now, board, lens=lens, points=points, start=fit.camera)
         except EstimationError:
             return {}
     fitted = errors[np.arange(len(ways)), ways]

@@ -2,23 +2,62 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
+from calib.core.errors import EstimationError
 from calib.geometry.board import Board, Corners, LensFit
 from calib.images.detection.marks import PATTERN_RATIO, on_board, repeated_pattern
 from calib.images.intrinsics.by_mrcal import MrcalFits
 from calib.images.intrinsics.gates import WORSE
+from calib.images.intrinsics.maps import fit_name
+
+FEWER = 0.02
+"""Share of the selected fit's corners that another one may lack and still be set beside it."""
 
 
-def better(first: LensFit | None, second: LensFit) -> tuple[LensFit, str]:
-    """Return the first fit unless the second is better by far, and why it is not the first."""
-    if first is None:
-        return second, ""
+def better(first: LensFit | None, second: LensFit | None) -> tuple[LensFit, str]:
+    """Return the first fit unless the second is better by far, and why it is not the first.
+
+    Raises
+    ------
+    EstimationError
+        If there is neither.
+    """
+    if first is None or second is None:
+        only = second if first is None else first
+        if only is None:
+            raise EstimationError("no backend solved the lens model that was selected")
+        return only, ""
     if first.rms_px <= WORSE * second.rms_px:
         return first, ""
     return second, (
         f"{first.backend} ended at {first.rms_px:.3f} px rms and {second.backend} at "
         f"{second.rms_px:.3f} px with the same lens model: that of {second.backend} is used"
+    )
+
+
+def other_fits_better(selected: LensFit, others: Sequence[LensFit]) -> tuple[str, ...]:
+    """Say which other fits leave less on the same corners than the selected one, by `WORSE`.
+
+    Of fits that use as many corners, but for `FEWER`: what a fit rejects it need not explain.
+    """
+    said = []
+    for other in others:
+        used, theirs = np.isfinite(selected.residuals), np.isfinite(other.residuals)
+        both = used & theirs
+        if used.shape != theirs.shape or both.sum() < (1 - FEWER) * used.sum():
+            continue
+        ours, less = (float(np.sqrt(np.mean(f.residuals[both] ** 2))) for f in (selected, other))
+        if ours > WORSE * less:
+            said.append(f"{fit_name(other)} {less:.3f} px")
+    if not said:
+        return ()
+    return (
+        f"the selected fit ({fit_name(selected)}) leaves {selected.rms_px:.3f} px rms, other lens "
+        f"models less on the same corners: {', '.join(said)}; they do not predict left-out views "
+        "better, so more pictures, with corners at the rim, must tell",
     )
 
 

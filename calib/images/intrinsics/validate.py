@@ -7,12 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.core.arrays import FloatArray
+from calib.core.arrays import BoolArray, FloatArray
 from calib.core.errors import EstimationError
 from calib.geometry.board import Board, Corners, LensFit
-from calib.geometry.camera import intrinsic_vector
+from calib.geometry.camera import intrinsic_vector, project_points
+from calib.geometry.poses import transform
 from calib.images.detection.grid import seen
-from calib.images.intrinsics.by_opencv import solve_views
+from calib.images.intrinsics.solvers import solve_lens
 from calib.images.pairs import single_view_pose
 
 FOLDS = 5
@@ -76,10 +77,12 @@ def cross_validate(
     *,
     points: Mapping[str, FloatArray],
 ) -> CrossValidation:
-    """Cross-validate the lens models of fits by OpenCV, in `FOLDS` folds of views.
+    """Cross-validate the lens models of fits, in `FOLDS` folds of views.
 
-    View i of those used belongs to fold i modulo `FOLDS`. OpenCV's solver serves for both backends:
-    what is tested is lens model and pictures, which they share, and not the solver.
+    View i of those used belongs to fold i modulo `FOLDS`. One solver serves for all backends of a
+    lens model (`calib.images.intrinsics.solvers`): what is tested is lens model and pictures, which
+    they share, and not the solver. Lens models are compared on the corners that any of them uses: a
+    model that fits what it keeps and rejects the rim of the picture predicts no better.
 
     Parameters
     ----------
@@ -93,11 +96,13 @@ def cross_validate(
     EstimationError
         If no lens model can be solved in all folds.
     """
-    view_rms, parameters = {}, {}
+    view_rms, all_rms, parameters = {}, {}, {}
     failed: dict[str, str] = {}
+    judged = np.any([seen(fit.residuals) for fit in fits.values()], axis=0)
     for lens, fit in fits.items():
         try:
-            view_rms[lens], parameters[lens] = _leave_out(corners, board, fit, lens, points[lens])
+            found = _leave_out(corners, board, fit, lens, points[lens], judged=judged)
+            view_rms[lens], all_rms[lens], parameters[lens] = found
         except EstimationError as error:
             failed[lens] = str(error)
     if not view_rms:
@@ -106,7 +111,7 @@ def cross_validate(
     squares = np.stack([view_rms[lens] ** 2 for lens in view_rms])
     lenses = tuple(view_rms)
     fitted = np.stack([_rms_of_views(fits[lens].residuals) for lens in lenses])
-    chosen, reason = select_lens(lenses, squares)
+    chosen, reason = select_lens(lenses, np.stack([all_rms[lens] ** 2 for lens in lenses]))
     folds = parameters[chosen][:, :4]
     spread = folds - folds.mean(axis=0)
     return CrossValidation(
@@ -123,25 +128,38 @@ def cross_validate(
 
 
 def _leave_out(
-    corners: Corners, board: Board, fit: LensFit, lens: str, points: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Return each view's rms when left out, px, (views,), and the folds' intrinsics, (folds, p)."""
+    corners: Corners,
+    board: Board,
+    fit: LensFit,
+    lens: str,
+    points: FloatArray,
+    *,
+    judged: BoolArray,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return what left-out views and the folds say.
+
+    Each view's rms, px, (views,), over the corners that the fit uses and over those `judged`,
+    (views, corners), by the pose that its own corners give; the folds' intrinsics, (folds, p).
+    """
     used = seen(fit.residuals)
     views = np.flatnonzero(used.any(axis=-1))
-    rms = np.full(len(used), np.nan)
+    rms, over_all = np.full((2, len(used)), np.nan)
     parameters = []
     for fold in range(min(FOLDS, len(views))):
         left_out = views[fold::FOLDS]
         kept = used.copy()
         kept[left_out] = False
-        camera = solve_views(
-            corners, board, kept, lens=lens, points=points, start=fit.camera
-        ).camera
+        camera = solve_lens(corners, board, kept, lens=lens, points=points, start=fit.camera)
         parameters.append(intrinsic_vector(camera))
         for i in left_out:
             pixels = np.where(used[i, :, None], corners.pixels[i], np.nan)
-            rms[i] = single_view_pose(camera, points=points, pixels=pixels)[1]
-    return rms, np.stack(parameters)
+            pose, rms[i] = single_view_pose(camera, points=points, pixels=pixels)
+            over_all[i] = rms[i]
+            if not np.array_equal(judged[i], used[i]):
+                seen_there = project_points(camera, transform(pose, points[judged[i]])).pixels
+                off = corners.pixels[i, judged[i]] - seen_there
+                over_all[i] = np.sqrt(np.mean(off**2))
+    return rms, over_all, np.stack(parameters)
 
 
 def _rms_of_views(residuals: FloatArray) -> FloatArray:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from calib.core.arrays import BoolArray, FloatArray
 from calib.core.errors import EstimationError
 from calib.geometry.board import Board, Corners, LensFit
-from calib.geometry.camera import Camera, camera_from_vector
+from calib.geometry.camera import Camera, camera_from_vector, normalise
 from calib.images.bundle import finite
 from calib.images.mrcal.call import call_worker
 
@@ -41,6 +41,9 @@ SPLINE_MARGIN = 1.15
 
 SPLINE_KNOTS = 10
 """Knots of a splined model along the longer side: some 60 px apart on VGA, wider than a square."""
+
+WIDEST_DEG = 180.0
+"""Field of view of a lens that sees more than rays in front of it."""
 
 _STEREOGRAPHIC = 2.0
 
@@ -199,19 +202,41 @@ def solve(
 
 
 def splined_lens(corners: Corners, *, focal_px: float) -> str:
-    """Return the name of a splined lens model that covers the imager of one camera."""
-    width, height = corners.image_size
+    """Return the name of a splined lens model that covers the imager of one pinhole camera."""
+    half_x, half_y = (np.arctan(side / 2 / focal_px) for side in corners.image_size)
+    return splined_field(2 * float(np.degrees(half_x)), 2 * float(np.degrees(half_y)))
+
+
+def splined_field(across_deg: float, down_deg: float) -> str:
+    """Return the name of a splined lens model that covers a field of view."""
     # The knots lie in a stereographic projection, u = 2 tan(theta / 2).
-    fov_x = 2 * SPLINE_MARGIN * np.degrees(np.arctan(width / 2 / focal_px))
     u_x, u_y = (
-        _STEREOGRAPHIC * np.tan(SPLINE_MARGIN * np.arctan(side / 2 / focal_px) / 2)
-        for side in (width, height)
+        _STEREOGRAPHIC * np.tan(SPLINE_MARGIN * np.radians(field / 2) / 2)
+        for field in (across_deg, down_deg)
     )
     knots_y = max(4, round(SPLINE_KNOTS * float(u_y / u_x)))
     return (
         f"LENSMODEL_SPLINED_STEREOGRAPHIC_order=3_Nx={SPLINE_KNOTS}_Ny={knots_y}"
-        f"_fov_x_deg={round(fov_x)}"
+        f"_fov_x_deg={round(SPLINE_MARGIN * across_deg)}"
     )
+
+
+def field_of(camera: Camera) -> tuple[float, float]:
+    """Return the field of view of a camera across and down through its centre, deg.
+
+    `WIDEST_DEG` where it has no rays at the rim.
+    """
+    width, height = camera.image_size
+    cx, cy = camera.matrix[:2, 2]
+    rim = np.array([[0, cy], [width - 1, cy], [cx, 0], [cx, height - 1]])
+    angle = np.degrees(np.arctan(np.hypot(*normalise(camera, rim, strict=False).T)))
+    left, right, top, bottom = np.where(np.isfinite(angle), angle, WIDEST_DEG / 2)
+    return float(2 * max(left, right)), float(2 * max(top, bottom))
+
+
+def wide_focal(corners: Corners, across_deg: float) -> float:
+    """Return the focal length, px, of a stereographic camera with a field of view across."""
+    return float(corners.image_size[0] / (2 * _STEREOGRAPHIC * np.tan(np.radians(across_deg) / 4)))
 
 
 def lens_fits(solution: MrcalSolution, cameras: Sequence[Corners]) -> tuple[LensFit, ...]:

@@ -15,6 +15,7 @@ const AGAIN_PICTURE_MS = 2000;
 let socket = null;
 let shownDocument = "";
 let last = null; // the state that came last, with what it says of this page
+let pickFor = "target"; // the field that a click on a picture fills
 const faults = { c1: "", c2: "" };
 
 function send(command) {
@@ -46,6 +47,10 @@ function heard(message) {
   if (message.notice) {
     notice(message.notice);
     if (last) enable(last.state, last.page);
+    return;
+  }
+  if (message.picked) {
+    $(pickFor).value = message.picked;
     return;
   }
   last = message;
@@ -229,6 +234,14 @@ asked("capture", () => ({ do: "capture", kind: $("kind").value, count: whole("ro
 asked("calibrate", () => ({ do: "calibrate" }));
 asked("gaze", () => ({ do: "gaze", count: whole("count"), target: $("target").value }));
 asked("length", () => ({ do: "length", start: $("from").value, end: $("to").value }));
+for (const id of ["target", "from", "to"]) $(id).addEventListener("focus", () => { pickFor = id; });
+for (const camera of CAMERAS) {
+  $(camera).onclick = (event) => {
+    const scale = $(camera).width / $(camera).clientWidth;
+    notice("");
+    send({ do: "pick", camera, u: event.offsetX * scale, v: event.offsetY * scale });
+  };
+}
 $("target").onchange = () => send({ do: "mark", target: $("target").value });
 $("question").onsubmit = (event) => {
   event.preventDefault();

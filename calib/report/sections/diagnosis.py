@@ -64,6 +64,8 @@ def _finding(found: Diagnosis) -> str:
 
 
 def _looked_at(cause: Cause) -> str:
+    if cause.seen_in == "both":
+        return "the rows and independent depths and lengths together"
     return "the rows" if cause.seen_in == "rows" else "independent depths and lengths"
 
 

@@ -31,7 +31,7 @@ def not_numbers(values: Mapping[str, FloatArray]) -> dict[int, str]:
     """Return which readings have a value that is no finite number, by their place."""
     return {
         int(i): f"{name} {column[i]:g} is not a finite number"
-        for name, column in reversed(values.items())
+        for name, column in list(values.items())[::-1]
         for i in np.flatnonzero(~np.isfinite(column))
     }
 

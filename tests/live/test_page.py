@@ -57,11 +57,25 @@ def page_of(browser):
     assert faults == []
 
 
+@pytest.fixture(scope="module")
+def server(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("served")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        with live(folder) as server:
+            yield server
+
+
 @pytest.fixture
-def served(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    with live(tmp_path) as server:
-        yield server
+def served(server):
+    """Give the server at rest, with a board before both cameras and no page open."""
+    with connect(f"ws://127.0.0.1:{server.port}/ws") as socket:
+        while json.loads(socket.recv(timeout=30))["page"]["owned"]:
+            pass
+    server.session._bench.hand("board").place("here")
+    yield server
+    server.session.stop()
+    server.idle(seconds=30)
 
 
 def at_rest(server):

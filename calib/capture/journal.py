@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Final
 
 from calib.gaze.row import GazeRow, Seen
 
@@ -41,6 +41,14 @@ def row_journal(row: GazeRow, kept: Mapping[str, Seen]) -> dict[str, Any]:
     }
 
 
+_START: Final = time.time() - time.monotonic()
+"""Time of day at the zero of the monotonic clock, as this program began."""
+
+
 def now() -> str:
-    """Return the time of day."""
-    return time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
+    """Return the time of day, by a clock that was set once, as this program began.
+
+    Rows are in order by it although the machine's clock is set meanwhile, by an hour in autumn or
+    by a time server: what drifts with time would be sought in the wrong order.
+    """
+    return time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(_START + time.monotonic()))

@@ -24,12 +24,15 @@ from calib.gaze.target import BoardCorner
 from calib.geometry.camera import Camera
 from calib.geometry.parameters import vector
 from calib.rig.devices import RigDevices
-from calib.rig.protocols import RigError
+from calib.rig.protocols import Lost, RigError
 
 LETTERS: Final[Mapping[Kind, str]] = {"gaze": "g", "validation": "v"}
 
 REFUSALS_MAX: Final = 10
 """Targets in a row that cannot be gazed at before the capture ends: something is wrong."""
+
+LOST_MAX: Final = 3
+"""Times in a row that a device is lost before the capture ends: no other target brings it back."""
 
 NEARER, FARTHER = 0.85, 1.2
 """Depths looked through around the one measured by hand, in parts of it."""
@@ -100,7 +103,7 @@ def capture_rows(capture: Capture, *, count: int) -> Captured:
     """
     aiming = before_calibration(capture.gazer.rig, capture.known.lenses.get("c1"))
     _note_start(capture)
-    have, refused, in_a_row = len(capture.folder.rows(capture.table)), 0, 0
+    have, refused, in_a_row, lost = len(capture.folder.rows(capture.table)), 0, 0, 0
     returning = _returning(capture, aiming)
     while have < count and in_a_row < REFUSALS_MAX:
         if is_due(returning):
@@ -110,10 +113,13 @@ def capture_rows(capture: Capture, *, count: int) -> Captured:
             _take(capture, aiming, name)
         except RigError as error:
             refused, in_a_row = refused + 1, in_a_row + 1
+            lost = lost + 1 if isinstance(error, Lost) else 0
             capture.folder.note("refused", table=capture.table, id=name, reason=str(error))
             capture.announce(f"{name}: {error}")
+            if lost == LOST_MAX:
+                raise
             continue
-        have, in_a_row = have + 1, 0
+        have, in_a_row, lost = have + 1, 0, 0
     if is_due(returning):
         return_to_first(returning)
     return Captured(have, refused)

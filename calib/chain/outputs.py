@@ -51,12 +51,11 @@ def write_outputs(
         files = _results(calibration)
         digest = sha256(files["calibration.json"]).hexdigest()
         files |= _report(calibration, dataset, made)
-        certificate, pdf_missing = _certificate(calibration, dataset, made, digest=digest)
+        certificate, missing = _certificate(calibration, dataset, made, digest=digest)
     files |= certificate
     run = _run(calibration, made)
-    if pdf_missing is not None:
-        run["certificate"] = {"pdf_missing": pdf_missing}
-        store.announce(f"warning: no certificate.pdf: {pdf_missing}")
+    if missing:
+        run["certificate"] = missing
     files["run.toml"] = tomli_w.dumps(run).encode()
     write_set(out, files, fingerprint=fingerprint)
     return tuple(out / name for name in files)
@@ -129,11 +128,13 @@ def _report(calibration: Calibration, dataset: Dataset, made: Provenance) -> dic
 
 def _certificate(
     calibration: Calibration, dataset: Dataset, made: Provenance, *, digest: str
-) -> tuple[dict[str, bytes], str | None]:
-    """Return the certificate in its forms, and why it has no PDF; nothing to certify, no forms."""
+) -> tuple[dict[str, bytes], dict[str, str]]:
+    """Return the certificate in its forms, and why which of them are missing."""
     gaze = calibration.gaze
-    if gaze is None or gaze.calibrated is None or gaze.evidence is None:
-        return {}, None
+    if gaze is None:
+        return {}, {}
+    if gaze.calibrated is None or gaze.evidence is None:
+        return {}, {"missing": gaze.not_certified or "no model could be fitted"}
     # Equal seeds issue different certificates: the token is no result and not from the seed.
     issue = new_issue(
         now=datetime.now(UTC), dataset_sha256=calibration.sha256, token=secrets.token_hex(6)
@@ -145,7 +146,7 @@ def _certificate(
     files = {"certificate.html": forms.html.encode(), "certificate.xml": forms.xml}
     if forms.pdf is not None:
         files["certificate.pdf"] = forms.pdf
-    return files, forms.pdf_missing
+    return files, {} if forms.pdf_missing is None else {"pdf_missing": forms.pdf_missing}
 
 
 def _run(calibration: Calibration, made: Provenance) -> dict[str, Any]:

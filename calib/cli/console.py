@@ -6,6 +6,7 @@ import json
 import math
 import sys
 import threading
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -130,7 +131,7 @@ def summary_json(out: Path) -> tuple[dict[str, Any], bool]:
         "passed": not failed,
         "failed_gates": failed,
         "diagnosis": result.get("diagnosis", []),
-        "warnings": result.get("warnings", []),
+        "warnings": [*result.get("warnings", []), *_uncertified(out)],
     }
     return document, not failed
 
@@ -138,19 +139,26 @@ def summary_json(out: Path) -> tuple[dict[str, Any], bool]:
 def faults_only(out: Path) -> tuple[str, bool]:
     """Return failed gates and warnings of a run, and whether all gates passed."""
     result = result_of(out)
-    lines = _faults(result)
+    lines = _faults(result, out)
     return "\n".join(lines), all(gate["passed"] for gate in result["gates"])
 
 
-def _faults(result: dict[str, Any]) -> list[str]:
+def _faults(result: dict[str, Any], out: Path) -> list[str]:
     failed = [gate for gate in result["gates"] if not gate["passed"]]
     mark = painted("GATE FAILED", "red", sys.stdout)
     warning = painted("warning", "yellow", sys.stdout)
     return [
         *(_cause(cause) for cause in result.get("diagnosis", [])),
         *(f"{mark}  {gate['name']}: {gate['detail']}" for gate in failed),
-        *(f"{warning}: {text}" for text in result.get("warnings", [])),
+        *(f"{warning}: {text}" for text in [*result.get("warnings", []), *_uncertified(out)]),
     ]
+
+
+def _uncertified(out: Path) -> list[str]:
+    """Return which forms of the certificate a run has not written, and why."""
+    missing = tomllib.loads((out / "run.toml").read_text(encoding="utf-8")).get("certificate", {})
+    words = {"missing": "no certificate", "pdf_missing": "no certificate.pdf"}
+    return [f"{words[key]}: {reason}" for key, reason in missing.items() if key in words]
 
 
 def summary(out: Path) -> tuple[str, bool]:
@@ -164,7 +172,7 @@ def summary(out: Path) -> tuple[str, bool]:
             f"selected model{by}: {selected}",
             *_estimates(result["fits"][f"{selected}/posterior"]),
         ]
-    lines += _faults(result)
+    lines += _faults(result, out)
     lines.append(f"results in {harmless(str(out))}")
     return "\n".join(lines), all(gate["passed"] for gate in result["gates"])
 

@@ -121,9 +121,11 @@ def _gaze_at_each(
     table: _Table,
 ) -> None:
     """Gaze at one target after the other; what cannot be measured is a line that says why."""
+    from calib.capture.rows import LOST_MAX
     from calib.gaze.placing import placing_for
-    from calib.rig.protocols import RigError
+    from calib.rig.protocols import Lost, RigError
 
+    lost = 0
     hand = placing_for(rig, _tell)
     hint = _other_virtual_target(rig, arguments.target)
     for name in (f"t{i:02d}" for i in range(1, arguments.count + 1)):
@@ -132,6 +134,11 @@ def _gaze_at_each(
             table.add(name, gazer.gaze(aiming, depth_mm=table.last_mm))
         except RigError as error:
             table.refuse(name, f"{error}{hint}")
+            lost = lost + 1 if isinstance(error, Lost) else 0
+            if lost == LOST_MAX:
+                raise
+        else:
+            lost = 0
 
 
 def _other_virtual_target(rig: RigDevices, wanted: str) -> str:

@@ -40,7 +40,7 @@ def opened(rig_file: Path | None, *, virtual_target: str | None = None) -> Itera
     virtual_target
         What stands before the embedded virtual rig; what rig.toml says holds for others.
     """
-    from calib.rig.devices import open_rig
+    from calib.rig.devices import alone, open_rig
     from calib.rig.settings import read_settings
 
     interrupt_on(signal.SIGINT, signal.SIGTERM)
@@ -48,7 +48,7 @@ def opened(rig_file: Path | None, *, virtual_target: str | None = None) -> Itera
     if rig_file is None and virtual_target is not None:
         virtual = settings.virtual.model_copy(update={"target": virtual_target})
         settings = settings.model_copy(update={"virtual": virtual})
-    with open_rig(settings) as rig:
+    with alone(rig_file, settings), open_rig(settings) as rig:
         try:
             yield rig
         except BaseException:

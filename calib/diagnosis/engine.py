@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +10,7 @@ import numpy as np
 from calib.core.arrays import BoolArray
 from calib.diagnosis.attempts import Outcome, best_of, carried_offset
 from calib.diagnosis.bases import Base, bases, measured
-from calib.diagnosis.findings import Attempt, Cause, Diagnosis
+from calib.diagnosis.findings import Attempt, Cause, Diagnosis, Suspect
 from calib.diagnosis.hypotheses import HYPOTHESES, Hypothesis
 from calib.diagnosis.refit import corrected
 from calib.diagnosis.session import RowHistory, Session
@@ -37,6 +37,9 @@ AS_GOOD = 3.0
 
 RUNNER_UP = 4.6
 """The second best cause is named with the best unless the odds between them are 100 to 1."""
+
+OPEN = -10.0
+"""Evidence from which independent references are asked about a cause that rows do not show."""
 
 OF_OUTLIERS = ("rows-exchanged", "unit", "group-reference")
 """Hypotheses about rows that the fit rejects."""
@@ -134,7 +137,20 @@ class Tried:
         """Return the decisive ones, with their effects on depths."""
         causes = tuple(self._cause(name, depths) for name in self.named)
         tried = tuple(self._attempt(name) for name in self.ranked)
-        return Diagnosis(self.model, causes, tried)
+        return Diagnosis(self.model, causes, tried, suspects=tuple(self._suspects()))
+
+    def _suspects(self) -> Iterator[Suspect]:
+        """Yield what rows leave open and independent references may tell."""
+        for name in self.ranked:
+            found = self.outcomes[name]
+            if found.gain > OPEN and not found.is_carried and name not in self.named:
+                yield Suspect(
+                    attempt=self._attempt(name),
+                    values=found.values,
+                    covariance=found.covariance,
+                    theta=found.refit.theta,
+                    noise_scale=(found.before.scale, found.refit.scale),
+                )
 
     def _attempt(self, name: str) -> Attempt:
         return attempt_of(HYPOTHESES[name], self.outcomes[name])

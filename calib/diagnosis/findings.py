@@ -5,14 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
+
 from calib.core.arrays import FloatArray
 from calib.diagnosis.hypotheses import HYPOTHESES, Hypothesis
 from calib.diagnosis.structure import Stretched, Structure
+from calib.uncertainty.format import with_uncertainty
 
 MATTERS = 1.0
 """Effect on a depth, in its standard uncertainties, from which a cause may not be left out."""
 
-SeenIn = Literal["rows", "references"]
+SeenIn = Literal["rows", "references", "both"]
 
 
 @dataclass(frozen=True)
@@ -32,7 +35,7 @@ class Attempt:
         Evidence for it, nats: the gain in the logarithm of the marginal likelihood, less penalties
         for hypotheses and places tried.
     seen_in
-        Where the evidence is from: calibration "rows", or independent "references".
+        Where the evidence is from: calibration "rows", independent "references", or "both".
     """
 
     name: str
@@ -50,9 +53,13 @@ class Attempt:
     @property
     def text(self) -> str:
         """What it says, with its figures."""
-        value = f"{self.estimate:.3g} +- {self.std:.2g} {self.hypothesis.unit}".removesuffix(" 1")
+        value = ""
+        if self.std > 0:
+            rounded = with_uncertainty(self.estimate, self.std)
+            value = f"{rounded.value} +- {rounded.uncertainty} {self.hypothesis.unit}"
+            value = value.removesuffix(" 1")
         by_rows, by_references = self.hypothesis.text, self.hypothesis.by_references
-        text = by_rows if self.seen_in == "rows" else by_references
+        text = by_references if self.seen_in == "references" else by_rows
         return text.format(value=value, at=self.at)
 
 
@@ -92,6 +99,37 @@ class Cause(Attempt):
 
 
 @dataclass(frozen=True)
+class Suspect:
+    """A hypothesis that the rows neither show nor rule out, to be held against references.
+
+    Parameters
+    ----------
+    attempt
+        As the rows have it.
+    values, covariance
+        Its parameters, shape (k,), in mm, rad or 1, and their covariance, (k, k).
+    theta
+        Full parameter vector beside it, shape (COUNT,).
+    noise_scale
+        Of the rows, without and with it.
+    """
+
+    attempt: Attempt
+    values: FloatArray
+    covariance: FloatArray
+    theta: FloatArray
+    noise_scale: tuple[float, float]
+
+    @property
+    def relative_std(self) -> float:
+        """Standard uncertainty of its size over its size; 0 of what has no size."""
+        size = float(np.sqrt(self.values @ self.values))
+        if size == 0:
+            return 0.0
+        return float(np.sqrt(self.values @ self.covariance @ self.values)) / size**2
+
+
+@dataclass(frozen=True)
 class Diagnosis:
     """What explains the rows better than the model alone.
 
@@ -108,6 +146,8 @@ class Diagnosis:
         Tests of the residuals of the model alone.
     stretched
         Parameters whose estimates lie far out in their priors.
+    suspects
+        For the stage that has independent references; none are left by it.
     """
 
     model: str
@@ -115,11 +155,12 @@ class Diagnosis:
     tried: tuple[Attempt, ...] = ()
     structure: tuple[Structure, ...] = ()
     stretched: tuple[Stretched, ...] = ()
+    suspects: tuple[Suspect, ...] = ()
 
     @property
     def left_out(self) -> Cause | None:
         """The first cause that the model does not allow for and that matters for depths."""
-        found = [c for c in self.causes if not c.is_carried and c.effect > MATTERS]
+        found = [cause for cause in self.causes if self.matters(cause)]
         return found[0] if found else None
 
     def others(self, cause: Cause) -> tuple[str, ...]:
@@ -127,7 +168,7 @@ class Diagnosis:
         same = [
             other
             for other in self.causes
-            if (other.seen_in, other.beside) == (cause.seen_in, cause.beside)
+            if (other.seen_in == "rows", other.beside) == (cause.seen_in == "rows", cause.beside)
         ]
         return tuple(other.name for other in same if other.name != cause.name)
 
@@ -137,4 +178,11 @@ class Diagnosis:
         if others := self.others(cause):
             either = [f"{name} ({HYPOTHESES[name].remedy})" for name in others]
             text += f". As well it may be {' or '.join(either)}: {cause.hypothesis.tells}"
+        for other in self.causes:
+            if other.beside == cause.name:
+                text += f". {other.name}: {other.text}; {other.hypothesis.remedy}"
         return text
+
+    def matters(self, cause: Cause) -> bool:
+        """Whether leaving a cause out moves a depth by more than its u."""
+        return not cause.is_carried and cause.effect > MATTERS

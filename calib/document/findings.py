@@ -14,8 +14,9 @@ class CausePart(Part):
 
     cause: str = Field(description="name of a hypothesis")
     at: str | None = Field(None, description="row, rows or group where it struck")
-    seen_in: Literal["rows", "references"] = Field(
-        "rows", description="whether calibration rows or independent references show it"
+    seen_in: Literal["rows", "references", "both"] = Field(
+        "rows",
+        description="whether calibration rows, independent references or both together show it",
     )
     estimate: float | None = Field(None, description="of its size, in unit")
     std: float | None = Field(None, description="standard uncertainty of the estimate")

@@ -22,7 +22,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from calib.core.errors import CalibError, UsageError
 from calib.live.access import Access, Guarded, token_of
-from calib.live.commands import Answer, Command, Mark, Pick, Picture, Stop, Take, parse
+from calib.live.commands import Answer, Command, Job, Mark, Pick, Picture, Stop, Take, parse
 from calib.live.jobs import RUN_FILES
 from calib.live.session import Session
 from calib.live.streams import Shown
@@ -75,6 +75,7 @@ class Page:
         self.sent: dict[str, int] = {}
         self.state_sent: tuple[int, ...] = ()
         self.said: deque[dict[str, str]] = deque(maxlen=SAID)
+        self.picking: asyncio.Task[None] | None = None
 
 
 class Pages:
@@ -152,14 +153,27 @@ class Pages:
             return
         if page is not self._owner:
             raise UsageError("another page has the motor")
+        self._let(page, command)
+
+    def _let(self, page: Page, command: Job | Answer | Mark | Pick) -> None:
+        """Do what the page that has the motor asks for."""
         if isinstance(command, Answer):
             self._session.answer(command)
         elif isinstance(command, Mark):
             self._session.mark(command)
         elif isinstance(command, Pick):
-            page.said.append({"picked": await asyncio.to_thread(self._session.pick, command)})
+            if page.picking is None or page.picking.done():
+                page.picking = asyncio.create_task(self._pick(page, command))
         else:
             self._session.submit(command)
+
+    async def _pick(self, page: Page, pick: Pick) -> None:
+        """Look for what is pointed at; a Stop that comes meanwhile does not wait for it."""
+        try:
+            page.said.append({"picked": await asyncio.to_thread(self._session.pick, pick)})
+        except CalibError as error:
+            page.said.append({"notice": str(error)})
+        page.wake.set()
 
     def _change(self) -> None:
         self._changes += 1

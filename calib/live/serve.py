@@ -5,12 +5,13 @@ from __future__ import annotations
 import signal
 import socket
 from collections.abc import Callable
+from contextlib import suppress
 from types import FrameType
 from typing import Final
 
 import uvicorn
 
-from calib.core.errors import UsageError
+from calib.core.errors import CalibError, UsageError
 from calib.live.access import Access
 from calib.live.app import make_app
 from calib.live.session import Given, Session
@@ -39,7 +40,8 @@ class Server(uvicorn.Server):
 
     def handle_exit(self, sig: int, frame: FrameType | None) -> None:  # noqa: ARG002 - as uvicorn calls it
         """End the server; the second time at once."""
-        self._stop()
+        with suppress(CalibError, OSError):  # an axis that does not answer keeps nobody here
+            self._stop()
         self.force_exit = self.should_exit
         self.should_exit = True
 

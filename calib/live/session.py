@@ -27,7 +27,7 @@ from calib.live.guarded import GuardedAxis, Stopped
 from calib.live.record import Record
 from calib.live.scene import heading
 from calib.live.streams import Stream
-from calib.rig.devices import RigDevices, open_rig
+from calib.rig.devices import RigDevices, alone, open_rig
 from calib.rig.protocols import Interrupted
 from calib.rig.settings import RigSettings
 
@@ -205,7 +205,8 @@ class Session:
 
     def _run(self) -> None:
         try:
-            with open_rig(self._given.settings) as opened:
+            given = self._given
+            with alone(given.places.rig_file, given.settings), open_rig(given.settings) as opened:
                 axis = GuardedAxis(opened.axis, self._turned)
                 self._begin(with_axis(opened, axis), axis)
                 try:

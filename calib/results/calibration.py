@@ -57,7 +57,9 @@ class GazeResult:
     diagnosis
         Mistakes that the rows show; None if no model could be fitted.
     evidence
-        Accuracy at the certified depths; None if no model could be fitted.
+        Accuracy at the certified depths; None if no model could be fitted, or none can be stated.
+    not_certified
+        Why none can be stated.
     default_priors
         Default priors that were scaled to a rig of another size: mean and standard deviation.
     choice
@@ -84,6 +86,7 @@ class GazeResult:
     diagnosis: Diagnosis | None = None
     correction: Attempt | None = None
     evidence: Evidence | None = None
+    not_certified: str | None = None
     default_priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     choice: Choice | None = None
     beside: Described | None = None

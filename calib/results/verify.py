@@ -55,7 +55,8 @@ def verify(folder: Path) -> Verified:
     data = (folder / CALIBRATION).read_bytes()
     digest = sha256(data).hexdigest()
     lines.append(f"{CALIBRATION}: SHA-256 {digest}")
-    if is_edited(json.loads(data)):
+    document = json.loads(data)
+    if is_edited(document):
         problems.append(Problem(str(folder / CALIBRATION), "was edited", AGAIN))
     for name in STATING:
         if name not in names:
@@ -65,4 +66,7 @@ def verify(folder: Path) -> Verified:
             problems.append(Problem(str(folder / name), what, AGAIN))
         else:
             lines.append(f"{name}: certifies this {CALIBRATION}")
+    failed = [gate["name"] for gate in document.get("gates", []) if not gate["passed"]]
+    if failed:
+        lines.append(f"{CALIBRATION}: gates failed ({', '.join(failed)}): must not be used")
     return Verified(tuple(problems), tuple(lines), len(names))

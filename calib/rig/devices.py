@@ -11,15 +11,17 @@ before it through `calib.rig.virtual.operator.Operator`.
 
 from __future__ import annotations
 
+import fcntl
 import signal
 import threading
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
+from pathlib import Path
 from types import FrameType
 from typing import Any, Final
 
-from calib.core.errors import CalibError
+from calib.core.errors import CalibError, UsageError
 from calib.rig.clock import Clock, HostClock, SimulatedClock
 from calib.rig.protocols import Camera, YawAxis
 from calib.rig.registry import axis_driver, camera_driver
@@ -88,6 +90,32 @@ def open_rig(settings: RigSettings) -> Iterator[RigDevices]:
         opened.callback(axis.close)
         opened.enter_context(stopping(axis))
         yield RigDevices(settings, cameras[0], cameras[1], axis, clock, world)
+
+
+@contextmanager
+def alone(rig_file: Path | None, settings: RigSettings) -> Iterator[None]:
+    """Keep other programs that go by the same rig.toml off its axis meanwhile.
+
+    Two that turn one motor spoil each other's rows. A virtual axis is each program's own.
+
+    Raises
+    ------
+    UsageError
+        If another program drives the rig.
+    """
+    if rig_file is None or settings.axis.driver == VIRTUAL:
+        yield
+        return
+    with rig_file.open("rb") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise UsageError(
+                f"{rig_file}: another program drives this rig; end it, or wait for it"
+            ) from None
+        except OSError:
+            pass  # a file system without locks: whoever shares it must take care
+        yield
 
 
 @contextmanager

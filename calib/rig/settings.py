@@ -88,6 +88,17 @@ class AxisSection(_Device):
     full_step_deg: StepDeg | None = None
     u_alpha2_deg: NotNegative | None = None
 
+    @model_validator(mode="after")
+    def _check_steps(self) -> AxisSection:
+        step = self.step_deg or self.resolution_deg
+        if self.full_step_deg is not None and self.full_step_deg < step:
+            refuse(
+                f"full_step_deg = {self.full_step_deg:g} is smaller than the motor's smallest "
+                f"move, {step:g}",
+                "give both at the yaw axis, in degrees",
+            )
+        return self
+
 
 class CamerasSection(Section):
     """The monitor camera C1 and the gazing camera C2."""

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.random import Generator
+from numpy.random import Generator, SeedSequence
 
 from calib.core.arrays import FloatArray
 from calib.core.errors import CalibError, EstimationError
 from calib.diagnosis.bases import most_evident
 from calib.diagnosis.engine import Tried
+from calib.diagnosis.independent import diagnose_references
 from calib.diagnosis.second import Task
 from calib.diagnosis.session import RowHistory, Session
 from calib.fit.noise import own_sigma
@@ -21,10 +22,13 @@ from calib.fit.robust import RobustFit, fit_model
 from calib.geometry.misclosure import depth_jacobian, misclosure, misclosure_value
 from calib.geometry.parameters import INDEX, PARAMETERS, REFERENCE_OFFSET
 from calib.geometry.plane import OBSERVABLE, depth
+from calib.instrument.calibrated import instrument_from_draws, tabulate_depths
+from calib.rows.from_table import ValidationRows
 from calib.rows.observations import Observations
 from calib.simulate.faults import FAULTS, FULL_STEP_COUNTS, Context, spoil
 from calib.study.conditions import CONDITIONS, MISTAKES
-from calib.study.rigs import Bench, set_up
+from calib.study.rigs import INSIDE, Bench, set_up
+from calib.study.scores import HARM
 
 ROW_COUNTS = (14, 24, 60)
 
@@ -49,6 +53,12 @@ REFERENCE = "reference-offset"
 MOST_OF_FULL_STEP = 0.1
 """A motor's errors within a full step, over it: with larger ones its shaft would turn back."""
 
+VALIDATED = 6
+"""Validation depths of rigs that have some."""
+
+DRAWS, GRID = 600, 5
+"""Draws and depths of the table against which effects are held."""
+
 Record = dict[str, Any]
 
 
@@ -63,6 +73,7 @@ def run_faults(*, seed: int, number: int) -> Record:
     try:
         return record | {
             "clean": {name: _clean(name, seed, number) for name in CONDITIONS},
+            "clean_with_depths": _clean_with_depths(seed, number),
             "mistakes": [one for rows in ROW_COUNTS for one in _mistakes(rows, seed, number)],
             "pairs": [one for rows in PAIR_ROWS for one in _pairs(rows, seed, number)],
         }
@@ -79,6 +90,20 @@ def _clean(name: str, seed: int, number: int) -> list[str] | None:
         return None
     found, second = _tried(bench.rows, bench.priors, fit, bench)
     return [*_named(found), *_named(second)]
+
+
+def _clean_with_depths(seed: int, number: int) -> list[list[str]]:
+    """Return the names given to sound rigs of all sizes that have validation depths."""
+    found = []
+    for rows in ROW_COUNTS:
+        condition = replace(CONDITIONS["axis-offset-14"], rows=rows)
+        bench = set_up(condition, seed=seed, number=number)
+        rng = np.random.default_rng((seed, len(FAULTS) + 1, rows, number))
+        task = Task(bench.rows, bench.priors, _fitted(bench.rows, bench.priors, bench),
+                    _history(bench))  # fmt: skip
+        tried = task.tried()
+        found.append([] if tried is None else _with_depths(task, tried, bench, {}, rng))
+    return found
 
 
 def _mistakes(rows: int, seed: int, number: int) -> Iterator[Record]:
@@ -123,13 +148,48 @@ def _mistake(fault: str, bench: Bench, clean: RobustFit, rng: Generator) -> Reco
         return record | {"effect": None, "gain": None, "named": []}
     found, second = _tried(wrong, bench.priors, fit, bench)
     own = None if found is None else found.outcomes.get(fault)
+    effect, with_depths = _effect(clean, fit, bench.rows, later), None
+    if found is not None and effect > HARM:
+        task = Task(wrong, bench.priors, fit, _history(bench))
+        with_depths = _with_depths(task, found, bench, {fault: value}, rng)
     return record | {
         "model": fit.model,
-        "effect": _effect(clean, fit, bench.rows, later),
+        "effect": effect,
         "gain": None if own is None else own.gain,
         "named": _named(found),
         "beside": _named(second),
+        "with_depths": with_depths,
     }
+
+
+def _with_depths(
+    task: Task, tried: Tried, bench: Bench, faults: Mapping[str, float], rng: Generator
+) -> list[str]:
+    """Return the names given once there are some validation depths, two of either kind at most.
+
+    The depths count from C1's optical centre; readings have the mistakes that are of the rig.
+    """
+    fit, rows = task.fit, task.rows
+    draws = rng.multivariate_normal(fit.values, fit.covariance, DRAWS)
+    noise = np.full((DRAWS, 1), np.log(fit.noise_scale))
+    nothing = np.zeros((DRAWS, 0))
+    calibrated = instrument_from_draws(np.hstack([draws, noise]), nothing, fit, rows, bench.setup)
+    low, high = float(rows.z_mm.min()), float(rows.z_mm.max())
+    table = tabulate_depths(calibrated, low_mm=low, high_mm=high, seed=SeedSequence(1), points=GRID)
+    some = np.arange(min(VALIDATED, len(bench.true_depths_mm[INSIDE])))
+    tests = bench.tests[INSIDE].take(some)
+    errors = rng.standard_normal(len(some)) * tests.std[:, OBSERVABLE.z]
+    context = Context(bench.rig.resolution_rad, rng)
+    read = spoil(tests, faults, context, validation=True)
+    validation = ValidationRows(
+        replace(read, z_mm=bench.true_depths_mm[INSIDE][some] + errors), some, {}
+    )
+    found = diagnose_references(
+        tried.diagnosis(table), calibrated, fit, rows, validation, None, table, task.history
+    )
+    by_rows = [cause.name for cause in found.causes if cause.seen_in == "rows"]
+    others = [cause.name for cause in found.causes if cause.seen_in != "rows"]
+    return by_rows[:2] + others[:2]
 
 
 def _pair(bench: Bench, clean: RobustFit, rng: Generator) -> Record:

@@ -261,7 +261,14 @@ def _mistakes(records: Sequence[Record]) -> list[Score]:
         for names in record["clean"].values()
         if names is not None
     ]
-    found = [_share("clean rigs", "false_names", clean)]
+    found = [
+        _share("clean rigs", "false_names", clean),
+        _share(
+            "clean rigs",
+            "false_names_with_depths",
+            [[bool(names) for names in record["clean_with_depths"]] for record in records],
+        ),
+    ]
     # Of each rig: rigs are independent of each other, what is done to one of them is not.
     made = [
         [one for one in record["mistakes"] if (one["effect"] or 0.0) > HARM] for record in records
@@ -279,6 +286,7 @@ def _mistakes(records: Sequence[Record]) -> list[Score]:
             of_rows("wrong_name", says=lambda one: bool(one["named"]) and not _is_named(one)),
             of_rows("in_evidence", says=_is_in_evidence),
             of_rows("named_in_evidence", says=_is_named, of=_is_in_evidence),
+            of_rows("named_with_depths", says=_is_named_with_depths),
         ]
     for fault in dict.fromkeys(one["fault"] for each in made for one in each):
         found.append(share("named", fault, "fault", fault, _is_named))
@@ -314,6 +322,10 @@ def _pairs(records: Sequence[Record]) -> list[Score]:
 
 def _is_named(one: Mapping[str, Any]) -> bool:
     return one["fault"] in one["named"][:MOST_NAMED]
+
+
+def _is_named_with_depths(one: Mapping[str, Any]) -> bool:
+    return one["fault"] in (one["with_depths"] or ())
 
 
 def _is_in_evidence(one: Mapping[str, Any]) -> bool:

@@ -14,8 +14,10 @@ from numpy.random import SeedSequence
 
 from calib.core.arrays import FloatArray
 from calib.dataset.tables import LengthTable
+from calib.diagnosis.differences import differences
 from calib.diagnosis.findings import Cause, Diagnosis
-from calib.diagnosis.independent import LEAST, diagnose_references, differences
+from calib.diagnosis.independent import LEAST, diagnose_references
+from calib.diagnosis.session import RowHistory
 from calib.fit.priors import Priors
 from calib.fit.robust import RobustFit, fit_model
 from calib.geometry.parameters import REFERENCE_OFFSET
@@ -27,6 +29,7 @@ from calib.instrument.calibrated import (
 )
 from calib.rows.from_table import ValidationRows
 from calib.rows.observations import Observations
+from calib.simulate.faults import FULL_STEP_COUNTS
 from calib.study.conditions import CONDITIONS
 from calib.study.rigs import INSIDE, Bench, set_up
 
@@ -71,10 +74,15 @@ def found(
     calibrated = instrument(fit, bench, rows)
     low, high = float(rows.z_mm.min()), float(rows.z_mm.max())
     depths = tabulate_depths(calibrated, low_mm=low, high_mm=high, seed=SeedSequence(1))
-    return (
-        diagnose_references(by_rows, calibrated, fit, rows, validation, lengths, depths),
-        depths,
+    found = diagnose_references(
+        by_rows, calibrated, fit, rows, validation, lengths, depths, history_of(bench)
     )
+    return found, depths
+
+
+def history_of(bench: Bench) -> RowHistory:
+    resolution = bench.rig.resolution_rad
+    return RowHistory({}, {}, resolution, FULL_STEP_COUNTS * resolution)
 
 
 def first(diagnosis: Diagnosis, name: str) -> Cause:

@@ -42,7 +42,8 @@ def test_scores_count_what_matters_and_what_the_rows_show() -> None:
     def made(
         fault: str, effect: float | None, gain: float | None, *named: str
     ) -> dict[str, object]:
-        return {"fault": fault, "rows": 24, "effect": effect, "gain": gain, "named": list(named)}
+        made = {"fault": fault, "rows": 24, "effect": effect, "gain": gain, "named": list(named)}
+        return made | {"with_depths": [fault] if gain else None}
 
     def pair(effect: float, named: list[str], beside: list[str]) -> dict[str, object]:
         made = {"faults": ["unit", "backlash"], "rows": 24, "effect": effect}
@@ -52,6 +53,7 @@ def test_scores_count_what_matters_and_what_the_rows_show() -> None:
         "condition": MISTAKES,
         "number": 0,
         "clean": {"base-6": [], "base-14": ["backlash"], "base-60": None, "coarse-6": []},
+        "clean_with_depths": [[], ["unit"], [], []],
         "mistakes": [
             made("reading-step", 5.0, 9.0, "reading-step", "reading-drift"),
             made("reading-step", 5.0, -4.0),
@@ -72,6 +74,8 @@ def test_scores_count_what_matters_and_what_the_rows_show() -> None:
     assert scores["24 rows", "wrong_name"].value == pytest.approx(1 / 3)
     assert scores["24 rows", "in_evidence"].value == pytest.approx(2 / 3)
     assert scores["24 rows", "named_in_evidence"].value == pytest.approx(1 / 2)
+    assert scores["24 rows", "named_with_depths"].value == pytest.approx(1)
+    assert scores["clean rigs", "false_names_with_depths"].value == pytest.approx(1 / 4)
     assert scores["backlash", "named"].rigs == 1
     two = {name: s.value for (subject, name), s in scores.items() if "two" in subject}
     assert two == pytest.approx({"one_named": 2 / 3, "both_named": 1 / 3, "wrong_pair": 1 / 3})

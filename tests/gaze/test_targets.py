@@ -108,7 +108,7 @@ def test_it_is_not_found_where_another_target_is(kind):
     assert what.find(np.full((480, 640), 90, np.uint8)) is None
 
 
-@pytest.mark.parametrize("kind", SCENES)
+@pytest.mark.parametrize("kind", ["chessboard", "tag", "cross"])
 def test_pointing_names_the_nearest_that_can_be_gazed_at(kind):
     what, pattern, point = SCENES[kind]()
     board = getattr(what, "board", BOARD)

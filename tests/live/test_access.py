@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import http.client
 import json
+import threading
 import urllib.error
 import urllib.request
 from contextlib import closing
@@ -121,6 +122,19 @@ def test_what_is_no_command_is_refused_and_named(served, message):
             pass
         assert heard["notice"]
     assert served.record.get("job") is None
+
+
+def test_a_stop_waits_for_nothing_that_was_asked_before(served, monkeypatch):
+    looking, stopped = threading.Event(), threading.Event()
+    monkeypatch.setattr(served.session, "pick", lambda _: str(looking.wait(30)))
+    monkeypatch.setattr(served.session, "stop", stopped.set)
+    with connect(f"ws://{own(served)}{commanding(served)}") as socket:
+        socket.send('{"do": "pick", "camera": "c1", "u": 1, "v": 2.5}')
+        socket.send('{"do": "stop"}')
+        assert stopped.wait(30)
+        looking.set()
+        while json.loads(socket.recv(timeout=30)).get("picked") != "True":
+            pass
 
 
 def test_a_run_shows_only_its_own_files(served):

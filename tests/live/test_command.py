@@ -19,6 +19,7 @@ from contextlib import suppress
 from importlib.metadata import requires
 from pathlib import Path
 
+import uvicorn
 from live_server import live
 from packaging.requirements import Requirement
 from websockets.exceptions import ConnectionClosed
@@ -26,6 +27,8 @@ from websockets.sync.client import connect
 
 from calib.cli.main import main
 from calib.live.commands import Check
+from calib.live.serve import Server
+from calib.rig.protocols import Lost
 
 PROJECT = Path(__file__).parents[2]
 CALIB = Path(sys.executable).with_name("calib")
@@ -79,6 +82,18 @@ def test_a_signal_stops_the_motor_before_the_server_ends(tmp_path, monkeypatch):
         where = server.true_yaw()
         time.sleep(0.3)
         assert server.true_yaw() == where
+
+
+def test_a_signal_ends_the_server_though_the_axis_does_not_answer():
+    def lost():
+        raise Lost("the cable is off")
+
+    server = Server(uvicorn.Config(lambda: None), lost)
+    server.handle_exit(signal.SIGTERM, None)
+    assert server.should_exit
+    assert not server.force_exit
+    server.handle_exit(signal.SIGTERM, None)
+    assert server.force_exit
 
 
 def test_ctrl_c_in_a_move_ends_it(tmp_path):

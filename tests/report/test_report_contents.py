@@ -16,6 +16,8 @@ from report_examples import everything, images, paper
 
 from calib.report import plotting
 from calib.report.page import render_report
+from calib.report.sections.board_pictures import LEFT_OUT, picture_sheets
+from calib.report.sections.intrinsics import _pictures
 from calib.results.effective_baseline import effective_baseline
 
 
@@ -162,6 +164,27 @@ def test_every_picture_is_listed_by_name_and_those_left_out_are_framed() -> None
     framed = page.xpath("//figure[@id='figure-pictures-c1']//li[@class='bad']/bdi/text()")
     sheet = calibration.images.sheets["c1"]
     assert (found.images[0] in framed) == (found.images[0] in sheet.names)
+
+
+def test_a_picture_rejected_before_the_refinement_is_framed_and_listed_too() -> None:
+    found, sheets = images().intrinsics["c1"], images().sheets["c1"]
+    gone = next(name for name in found.images if name in sheets.names)
+    kept = [i for i, name in enumerate(found.images) if name != gone]
+    refined = replace(
+        found,
+        images=tuple(found.images[i] for i in kept),
+        selected=replace(found.selected, residuals=found.selected.residuals[kept]),
+        rejected_views=(gone,),
+    )
+    changed = replace(images(), intrinsics={**images().intrinsics, "c1": refined})
+    (sheet,) = (s for s in picture_sheets(changed) if s.key == "pictures-c1")
+    faults = {picture.name: picture.fault for picture in sheet.pictures}
+    assert faults[gone] == LEFT_OUT
+    corners = changed.corners["c1"].select(refined.images).pixels
+    listed = _pictures(refined, corners)
+    assert listed.rows[-1][0].text == gone
+    assert listed.rows[-1][-1].text == LEFT_OUT
+    assert len(listed.rows) == len(found.images)
 
 
 def test_pictures_show_corners_and_residuals_where_they_are() -> None:

@@ -9,13 +9,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
 from matplotlib.contour import QuadContourSet
 from matplotlib.figure import Figure
 from matplotlib.quiver import Quiver
-from report_examples import paper
+from matplotlib.text import Text
+from report_examples import everything, paper
 
+from calib.report import plotting
 from calib.report.figures import maps
 from calib.report.figures.posterior import draw_corner
+from calib.report.figures.setup import draw_setup
+from calib.report.page import render_report
 from calib.report.plotting import csv_text
 
 
@@ -83,6 +89,50 @@ def test_arrows_of_a_field_point_along_it_and_none_crosses_others() -> None:
     ratio = length[free] / wanted[free]
     assert ratio == pytest.approx(np.full(free.sum(), ratio[0]))
     assert np.quantile(wanted * ratio[0], 0.95) == pytest.approx(50), "a cell's width"
+
+
+def cut_off(figure: Figure) -> list[str]:
+    """Return the titles, labels and legends of a figure that reach beyond its edge."""
+    figure.draw_without_rendering()
+    renderer = figure.canvas.get_renderer()
+    own = [figure.legends, [t for axes in figure.axes for t in _words_of(axes)]]
+    found = []
+    for text in (t for group in own for artist in group for t in artist.findobj(Text)):
+        box = text.get_window_extent(renderer)
+        if text.get_text().strip() and not (
+            -1 <= box.x0 <= box.x1 <= figure.bbox.width + 1
+            and -1 <= box.y0 <= box.y1 <= figure.bbox.height + 1
+        ):
+            found.append(text.get_text())
+    return found
+
+
+def _words_of(axes: Axes) -> list[Artist]:
+    legend = axes.get_legend()
+    return [axes.title, axes.xaxis.label, axes.yaxis.label, *([] if legend is None else [legend])]
+
+
+def test_no_word_of_a_figure_is_cut_off(monkeypatch: pytest.MonkeyPatch) -> None:
+    calibration, context = everything()
+    drawn: list[Figure] = []
+    svg = plotting.svg
+
+    def recorded(figure: Figure) -> bytes:
+        drawn.append(figure)
+        return svg(figure)
+
+    monkeypatch.setattr(plotting, "svg", recorded)
+    first = calibration.images.stereo.solves[0]
+    backends = ("joint", "mrcal", "opencv", "joint")
+    four = tuple(replace(first, backend=name, intrinsics="held") for name in backends)
+    stereo = replace(calibration.images.stereo, solves=four)
+    images = replace(calibration.images, stereo=stereo)
+    render_report(replace(calibration, images=images), context)
+    rows, theta = calibration.gaze.rows, calibration.gaze.robust["axis-offset"].theta
+    long = "$L_{b}$ + $e$ = 130.97361 ± 0.00048 mm\n95 %: 130.96411 to 130.98310 mm"
+    drawn.append(draw_setup(rows, theta, ("baseline_mm", "axis_z_mm"), effective=long).figure)
+    assert len(drawn) > 15
+    assert [words for figure in drawn for words in cut_off(figure)] == []
 
 
 def test_data_files_hold_seven_digits_and_nothing_for_what_does_not_exist() -> None:

@@ -4,9 +4,10 @@ import json
 
 import pytest
 
-from calib.core.errors import InputError
+from calib.core.errors import InputError, UsageError
 from calib.rig.registry import axis_driver, camera_driver
 from calib.rig.settings import embedded, parse_settings, rig_schema
+from tests.rig.virtual_rigs import virtual_rig
 
 WHOLE = """
 format = 1
@@ -55,6 +56,10 @@ def test_a_whole_file_keeps_what_a_driver_needs():
         ("baseline_mm = 150", "baseline_mm = nan", "is not a finite number"),
         ('reads = "counts"', 'reads = "counts"\nrange_deg = [140, 40]', "is no range"),
         ("[virtual]", "[vitual]", "did you mean 'virtual'?"),
+        ('reads = "counts"', 'reads = "counts"\nfull_step_deg = 0.01', "smallest move, 0.05625"),
+        ("seed = 3", "seed = 3\nframe_ms = 1e-300", "give a value of at least 1"),
+        ("seed = 3", "seed = 3\nclock_offset_s = 1e300", "give a value of at most 1e+09"),
+        ("baseline_mm = 150", "baseline_mm = 1e300", "give at most 100000, in mm or rad"),
     ],
 )
 def test_a_fault_is_named_with_its_remedy(old, new, expected):
@@ -89,3 +94,18 @@ def test_the_baseline_by_tape_measure_goes_before_that_of_the_virtual_rig():
     assert rig.nominal_baseline_mm == 150.0
     stated = parse_settings(WHOLE.replace('"rig-07"', '"rig-07"\nbaseline_mm = -170').encode())
     assert stated.nominal_baseline_mm == -170.0
+
+
+def test_the_truth_is_not_written_to_the_end_of_another_file(tmp_path):
+    mine = tmp_path / "rig.toml"
+    mine.write_text("format = 1\n")
+    with (
+        pytest.raises(UsageError, match="is there and no file of truths"),
+        virtual_rig(truth=str(mine)),
+    ):
+        pass
+    assert mine.read_text() == "format = 1\n"
+    for _ in range(2):
+        with virtual_rig(truth=str(tmp_path / "truth.jsonl")):
+            pass
+    assert (tmp_path / "truth.jsonl").read_text().count('"event": "rig"') == 2

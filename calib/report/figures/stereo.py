@@ -47,11 +47,11 @@ def draw_pairs(stereo: StereoReference) -> Drawing:
                 marker=style.marker,
                 color=style.colour,
                 mfc=style.colour if camera == "C1" else "white",
-                label=f"{name}, {camera}",
+                label=name if camera == "C1" else None,
             )
             data[f"{solve.backend}_{solve.intrinsics}_{camera}_rms_px"] = rms
     label_rows(axes, stereo.stems, what="pair")
-    axes.set_ylabel("rms residual / px")
+    axes.set_ylabel("rms residual / px (hollow: C2)")
     from_zero(axes)
     legend(figure, axes)
     told = "; ".join(

@@ -48,6 +48,8 @@ def _use(images: ImageResult, camera: str) -> _Use:
     if camera in images.intrinsics:
         found = images.intrinsics[camera]
         use.residuals.update(zip(found.images, found.selected.residuals, strict=True))
+        # Of a lens refined with the pairs these are no more among its pictures.
+        use.left_out.update(dict.fromkeys(found.rejected_views, LEFT_OUT))
     corners = images.corners[camera]
     known = dict(zip(corners.images, corners.pixels, strict=True))
     for name, residuals in use.residuals.items():

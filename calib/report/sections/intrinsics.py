@@ -33,6 +33,7 @@ from calib.report.figures.intrinsics import (
 )
 from calib.report.numbers import decimals, digits, estimate, signed
 from calib.report.plotting import picture
+from calib.report.sections.board_pictures import LEFT_OUT
 from calib.results.calibration import Calibration
 from calib.uncertainty.format import fixed, significant
 
@@ -103,7 +104,7 @@ def _camera(i: Intrinsics, corners: FloatArray) -> list[Block]:
             "others is a bad picture; all far above the fitted rms is too few views.",
         ),
         _validation(i),
-        Fold(f"All {len(i.images)} pictures of {name} by name", (_pictures(i, corners),)),
+        Fold(f"All {len(_named(i))} pictures of {name} by name", (_pictures(i, corners),)),
     ]
 
 
@@ -122,6 +123,11 @@ def _pictures(i: Intrinsics, corners: FloatArray) -> Table:
         )
         for k, image in enumerate(i.images)
     ]
+    rows += [
+        (words(name), EMPTY, EMPTY, EMPTY, EMPTY, words(LEFT_OUT, mark="bad"))
+        for name in i.rejected_views
+        if name not in i.images
+    ]
     heads = ("Picture", "Corners", "Rejected", "rms / px", "Largest residual / px", "Used")
     return table(
         f"Pictures of {i.name.upper()}",
@@ -131,6 +137,11 @@ def _pictures(i: Intrinsics, corners: FloatArray) -> Table:
         f"[cameras.{i.name}], by the name given here.",
         sortable=True,
     )
+
+
+def _named(i: Intrinsics) -> tuple[str, ...]:
+    """Return all pictures of the board, those that were rejected before the refinement included."""
+    return tuple(dict.fromkeys((*i.images, *i.rejected_views)))
 
 
 def _rms_of(residuals: FloatArray) -> float:
@@ -148,7 +159,7 @@ def _state(found: int, kept: int) -> Cell:
     if not found:
         return words("no board found", mark="caution")
     if 2 * kept < found:
-        return words("left out: contradicts the others", mark="bad")
+        return words(LEFT_OUT, mark="bad")
     return words("yes")
 
 
@@ -219,7 +230,7 @@ def _facts(i: Intrinsics) -> DefinitionList:
     return facts(
         ("Selected because", i.selection),
         ("Lens distortion, selected", f"{lens} ({_order(i.camera)})"),
-        ("Views", f"{len(i.images)}, of which {len(i.rejected_views)} rejected"),
+        ("Views", f"{len(_named(i))}, of which {len(i.rejected_views)} rejected"),
         ("Rejected views", ", ".join(i.rejected_views)),
         ("Coverage", _coverage(i.coverage)),
         ("mrcal", _mrcal(i.mrcal_version)),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Literal
+from typing import Annotated, Final, Literal
 
 from pydantic import ConfigDict, Field, model_validator
 
@@ -13,7 +13,15 @@ from calib.dataset.section import Section
 from calib.geometry.parameters import NAMES
 
 Share = Annotated[Number, Field(ge=0, le=1)]
-Count = Annotated[int, Field(strict=True, ge=0)]
+Seed = Annotated[int, Field(strict=True, ge=0)]
+Frames = Annotated[int, Field(strict=True, ge=0, le=100)]
+Milliseconds = Annotated[NotNegative, Field(le=100_000)]
+Period = Annotated[Number, Field(ge=1, le=100_000)]
+Steps = Annotated[NotNegative, Field(le=10_000)]
+Grey = Annotated[NotNegative, Field(le=255)]
+
+PARAMETER_MOST: Final = 1e5
+"""No virtual rig is larger than 100 m: places that its cameras see would be looked for for ever."""
 
 
 class Faults(Section):
@@ -51,22 +59,22 @@ class Faults(Section):
         The zero of the readings wanders by so much in an hour, as a mount that warms up lets it.
     """
 
-    latency_frames: Count = 0
-    clock_offset_s: Number = 0.0
-    clock_drift_ppm: Number = 0.0
+    latency_frames: Frames = 0
+    clock_offset_s: Annotated[Number, Field(ge=-1e9, le=1e9)] = 0.0
+    clock_drift_ppm: Annotated[Number, Field(ge=-1e4, le=1e4)] = 0.0
     dropped_share: Share = 0.0
     torn_share: Share = 0.0
     stale: bool = False
-    backlash_steps: NotNegative = 0.0
+    backlash_steps: Steps = 0.0
     microstep_error: Annotated[Number, Field(ge=0, le=0.25)] = 0.0
     lost_steps_share: Share = 0.0
     stopped_share: Share = 0.0
-    early_done_ms: NotNegative = 0.0
-    ringing_ms: NotNegative = 0.0
+    early_done_ms: Milliseconds = 0.0
+    ringing_ms: Milliseconds = 0.0
     truncated: bool = False
     reversed: bool = False
     moving_share: Share = 0.0
-    drift_deg_h: Number = 0.0
+    drift_deg_h: Annotated[Number, Field(ge=-3600, le=3600)] = 0.0
 
 
 class VirtualSettings(Faults):
@@ -96,15 +104,15 @@ class VirtualSettings(Faults):
 
     model_config = ConfigDict(frozen=True, extra="allow")
 
-    seed: Count = 1
+    seed: Seed = 1
     model: Literal["base", "axis-offset"] = "axis-offset"
     time: Literal["real", "simulated"] = "real"
-    exposure_ms: Positive = 8.0
-    frame_ms: Positive = 40.0
-    encoder_noise_deg: NotNegative = 0.0
+    exposure_ms: Annotated[Positive, Field(le=100_000)] = 8.0
+    frame_ms: Period = 40.0
+    encoder_noise_deg: Annotated[NotNegative, Field(le=90)] = 0.0
     target: Line = "board"
-    light: Positive = 1.0
-    grey_noise: NotNegative = 1.5
+    light: Annotated[Positive, Field(le=1000)] = 1.0
+    grey_noise: Grey = 1.5
     truth: Line | None = None
 
     @property
@@ -122,4 +130,9 @@ class VirtualSettings(Faults):
                 )
             if isinstance(value, bool) or not isinstance(value, int | float) or value - value != 0:
                 refuse(f"{name} = {shown(value)} is not a finite number", "write a number")
+            if abs(value) > PARAMETER_MOST:
+                refuse(
+                    f"{name} = {value:g} is out of range",
+                    f"give at most {PARAMETER_MOST:g}, in mm or rad",
+                )
         return self

@@ -19,6 +19,7 @@ from typing import Any, Final, Literal
 import numpy as np
 
 from calib.core.arrays import FloatArray
+from calib.core.errors import UsageError
 from calib.dataset.board_section import board_of
 from calib.dataset.lens_section import camera_section, stated_camera
 from calib.geometry.board import Board
@@ -42,6 +43,8 @@ RAY_SPACING_PX: Final = 8
 BLUR_STEP_PX: Final = 1.0
 BLUR_MOST: Final = 12
 """An exposure in motion is the mean of pictures so far apart, or of so many."""
+
+TRUTH_BEGINS: Final = b'{"event": "'
 
 Motion = Callable[[float], FloatArray]
 """Pose of the board in C1, shape (4, 4), mm, by the time since it was placed, s."""
@@ -197,6 +200,7 @@ class World:
     def _start_truth(self) -> None:
         if not self._truth:
             return
+        _refuse_foreign(self._truth)
         rig = self.rig
         cameras = {
             name: {k: v for k, v in camera_section(camera).items() if k != "image_size"}
@@ -210,6 +214,25 @@ class World:
             height_mm=rig.height_mm,
             pitch_rad=rig.pitch_rad,
         )
+
+
+def _refuse_foreign(truth: Path) -> None:
+    """Refuse to write the truth to the end of a file that is something else.
+
+    Raises
+    ------
+    UsageError
+        If it is, or cannot be written.
+    """
+    where = "rig.toml, [virtual] truth"
+    try:
+        with truth.open("ab+") as file:
+            file.seek(0)
+            begins = file.read(len(TRUTH_BEGINS))
+    except OSError as error:
+        raise UsageError(f"{where}: {truth} cannot be written ({error.strerror})") from None
+    if begins and begins != TRUTH_BEGINS:
+        raise UsageError(f"{where}: {truth} is there and no file of truths; name another")
 
 
 def _out_of_sight() -> FloatArray:

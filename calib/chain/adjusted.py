@@ -73,6 +73,7 @@ def of_record(
     dataset: Dataset,
     method: str,
     rows: Staged[Observations],
+    shared: Staged[Shared],
     adjustment: Staged[Adjustment] | None,
 ) -> Callable[[GazeResult], bool]:
     """Return what tells whether the instrument by the rows is of record, and so is certified."""
@@ -80,7 +81,8 @@ def of_record(
     def by_rows(gaze: GazeResult) -> bool:
         if adjustment is None or adjustment.failed is not None:
             return True
-        return chosen(dataset, method, gaze, rows.value, adjustment.value).method != ADJUSTMENT
+        choice = chosen(dataset, method, gaze, rows.value, shared.value, adjustment.value)
+        return choice.method != ADJUSTMENT
 
     return by_rows
 

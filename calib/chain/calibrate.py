@@ -122,7 +122,7 @@ def calibrate(
         gaze, choice = None, None
         if dataset.gaze is not None:
             rows = gaze_rows(dataset, dataset.gaze, store, images)
-            by_rows = of_record(dataset, options.method, rows, adjustment)
+            by_rows = of_record(dataset, options.method, rows, images.shared, adjustment)
             if rows.failed is not None:
                 failures["gaze rows"] = rows.failed
             elif dataset.manifest.rig.is_left:

@@ -136,7 +136,6 @@ MRCAL_FAULTS = {
     "negative focal length": ("421.71", "-421.71", "focal lengths"),
     "open bracket": ("'imagersize': [", "'imagersize': [[[[[[", "not a mrcal model"),
     "nesting": ("'imagersize': [", "'imagersize': " + 90 * "[" + 90 * "]" + ", 'a': [", "mrcal"),
-    "omnidirectional": ("image_width", "xi: 1.2\nimage_width", "has 'xi', of an omnidirectional"),
     "a key twice": ("'extrinsics'", "'imagersize': [ 4, 3,],\n    'extrinsics'", "twice"),
     "signs": ("421.71", 5000 * "-" + "1", "not a mrcal model"),
     "too long": ("# OPENCV8", "#" * LITERAL_LIMIT, "not a mrcal model"),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -55,6 +55,22 @@ def chosen(
         )
     corrected = dataset.manifest.corrections is not None
     return choose(method, adjustment, agrees, corrected=corrected)
+
+
+def of_record(
+    dataset: Dataset,
+    method: str,
+    rows: Staged[Observations],
+    adjustment: Staged[Adjustment] | None,
+) -> Callable[[GazeResult], bool]:
+    """Return what tells whether the instrument by the rows is of record, and so is certified."""
+
+    def by_rows(gaze: GazeResult) -> bool:
+        if adjustment is None or adjustment.failed is not None:
+            return True
+        return chosen(dataset, method, gaze, rows.value, adjustment.value).method != ADJUSTMENT
+
+    return by_rows
 
 
 def adjustment_gates(

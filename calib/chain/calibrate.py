@@ -8,7 +8,14 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.chain.adjusted import adjustment_gates, certified, chosen, not_used, with_adjustment
+from calib.chain.adjusted import (
+    adjustment_gates,
+    certified,
+    chosen,
+    not_used,
+    of_record,
+    with_adjustment,
+)
 from calib.chain.adjustment import adjustment_stage
 from calib.chain.images import ImageStages, image_observations, image_stages
 from calib.chain.outputs import write_outputs
@@ -115,17 +122,18 @@ def calibrate(
         gaze, choice = None, None
         if dataset.gaze is not None:
             rows = gaze_rows(dataset, dataset.gaze, store, images)
+            by_rows = of_record(dataset, options.method, rows, adjustment)
             if rows.failed is not None:
                 failures["gaze rows"] = rows.failed
             elif dataset.manifest.rig.is_left:
                 mirror = Mirror.of(images.shared.value)
                 mirrored = given("mirrored rows", mirror.rows(rows.value))
                 setup = gaze_setup(dataset, images)
-                gaze = _gaze_chain(dataset, options, store, images, mirrored, mirror)
+                gaze = _gaze_chain(dataset, options, store, images, mirrored, by_rows, mirror)
                 own = rows.value if gaze.correction is None else mirror.rows(gaze.rows)
                 gaze = mirror_gaze(gaze, mirror, rows=own, setup=setup)
             else:
-                gaze = _gaze_chain(dataset, options, store, images, rows)
+                gaze = _gaze_chain(dataset, options, store, images, rows, by_rows)
         if gaze is not None and adjustment is not None and adjustment.failed is None:
             choice = chosen(dataset, options.method, gaze, rows.value, adjustment.value)
             gaze = with_adjustment(
@@ -183,10 +191,12 @@ def _gaze_chain(
     store: Store,
     images: ImageStages,
     rows: Staged[Observations],
+    by_rows: Callable[[GazeResult], bool],
     mirror: Mirror | None = None,
 ) -> GazeResult:
     """From gaze rows to the calibrated instrument and what it measures.
 
+    `by_rows` tells whether the instrument that they give is that of record, which is certified.
     With a mirror, all of it is that of the rig's mirror image, whose rows these then are.
     """
     run, is_left = store.run, mirror is not None
@@ -236,7 +246,7 @@ def _gaze_chain(
     result = replace(result, identifiability={name: s.value for name, s in identified.items()})
     chains = {name: posterior[name] for name in result.posterior}
     fitted = _Fitted(rows, priors, fits, chains)
-    return _measure(dataset, options, store, images, fitted, result, mirror)
+    return _measure(dataset, options, store, images, fitted, result, by_rows, mirror)
 
 
 @dataclass(frozen=True)
@@ -256,6 +266,7 @@ def _measure(
     images: ImageStages,
     fitted: _Fitted,
     result: GazeResult,
+    by_rows: Callable[[GazeResult], bool],
     mirror: Mirror | None,
 ) -> GazeResult:
     """Select a model and find what the instrument then measures."""
@@ -295,22 +306,24 @@ def _measure(
                           diagnosis, calibrated, fitted.robust[selected], rows,
                           optional(validation), optional(_lengths(dataset)), depths, history))
     # fmt: on
-    evidence = run(
-        certified(
-            "", dataset, calibrated, rows, optional(validation), optional(measured), seed=seed
+    result = replace(result, calibrated=calibrated.value)
+    evidence = None
+    if by_rows(result):
+        evidence = run(
+            certified(
+                "", dataset, calibrated, rows, optional(validation), optional(measured), seed=seed
+            )
         )
-    )  # fmt: skip
     return replace(
         result,
         comparison=comparison.value,
-        calibrated=calibrated.value,
         depths=depths.value,
         average=average.value,
         validation=None if measured is None else measured.value,
         groups=groups.value,
         diagnosis=diagnosis.value,
-        evidence=evidence.get(),
-        not_certified=evidence.failed,
+        evidence=None if evidence is None else evidence.get(),
+        not_certified=None if evidence is None else evidence.failed,
     )
 
 

@@ -193,7 +193,9 @@ def fit_robust(
     theta = find_start(rows, axis_z="axis_z_mm" in model.free) if start is None else start
     some = replace(problem, rows=some_rows(rows, ROUGH_ROWS))
     scale = some.noise_scale(residuals(theta, some.rows).standardised, 0.0)
-    found = some.solve(theta, scale, accuracy=ROUGH)
+    found = None if start is None else some.settle_near(theta, scale)
+    if found is None:
+        found = some.solve(theta, scale, accuracy=ROUGH)
     standardised = residuals(found.theta, rows).standardised
     rejected = reject_outliers(standardised, found.scale, parameters=found.decided)
     plain = np.array_equal(rejected, is_outlier(standardised, found.scale))

@@ -67,13 +67,14 @@ def draw_board_picture(
     marks = _path(_rings(corners[found & ~rejected], radius), BLUE, 0.3 * radius)
     marks += _path(_crosses(corners[rejected], radius), VERMILLION, 0.5 * radius)
     first = _path(_rings(corners[:1][found[:1]], 2 * radius), VERMILLION, 0.5 * radius)
-    svg = (
+    opening = (
         f"<svg xmlns='http://www.w3.org/2000/svg' viewBox='-.5 -.5 {width} {height}' "
-        f"width='{width}' height='{height}'>"
-        f"<image {place} href='{data_uri('image/jpeg', encoded.tobytes())}'/>"
-        f"{marks}{first}{arrows}</svg>"
+        f"width='{width}' height='{height}'><image {place} href='"
     )
-    return f"data:image/svg+xml,{quote(svg, safe=_SAFE)}"
+    closing = f"'/>{marks}{first}{arrows}</svg>"
+    # The JPEG's own URI has no character to encode, and is most of the text.
+    jpeg = data_uri("image/jpeg", encoded.tobytes())
+    return f"data:image/svg+xml,{quote(opening, safe=_SAFE)}{jpeg}{quote(closing, safe=_SAFE)}"
 
 
 def _path(steps: str, colour: str, stroke: float) -> str:

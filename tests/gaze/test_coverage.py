@@ -37,7 +37,7 @@ KINDS = {
 }  # fmt: skip
 
 MOST = {"counts": 1.0}
-"""Microsteps err as a sine, never beyond its amplitude, which is 1.4 standard uncertainties: 1.96 of
+"""Microsteps err as a sine, never beyond its amplitude of 1.4 standard uncertainties: 1.96 of
 them, as of a normal error, hold it nearly always. Too long, which does no harm; an interval that
 counts on the sine would be too short for a motor whose errors are no sine."""
 

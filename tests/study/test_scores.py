@@ -168,6 +168,7 @@ def test_cases_of_one_rig_are_one_witness() -> None:
             "clean": {},
             "clean_with_depths": [],
             "mistakes": [case] * 5,
+            "pairs": [],
         }
 
     names = [("backlash",), (), ("backlash",), ("backlash",), (), ("backlash",), ("backlash",), ()]

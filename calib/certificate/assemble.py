@@ -70,7 +70,8 @@ def _administration(stated: Certificate, rig: Rig, gaze: GazeResult) -> Administ
     values = stated.model_dump(exclude={"tolerance", "decision_rule"})
     values["serial"] = stated.serial or rig.serial
     if gaze.correction is not None:
-        corrected = f"The calibration rows were corrected: {gaze.correction.text}."
+        text = gaze.correction.text.replace("+-", "±")
+        corrected = f"The calibration rows were corrected: {text}."
         values["deviations"] = " ".join(filter(None, (stated.deviations, corrected)))
     return Administration(**values)
 

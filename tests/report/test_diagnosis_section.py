@@ -71,7 +71,7 @@ def test_a_cause_beside_the_first_is_said_with_its_remedy_and_drawn() -> None:
     )  # fmt: skip
     diagnosis = Diagnosis("base", (STEP, far), (STEP,))
     page = report(diagnosis)
-    assert "Beside reading-step, reference depths from 900 mm are 3.0 +- 0.4 % off" in page
+    assert "Beside reading-step, reference depths from 900 mm are 3.00 +- 0.40 % off" in page
     assert far.hypothesis.remedy in page
     assert "As well it may be" not in page
     assert "Once that is allowed for, the rows show reference-bias-far as well" in page

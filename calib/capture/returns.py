@@ -112,14 +112,15 @@ def is_due(returning: Returning) -> bool:
     since = 0
     for event in stops:
         since = 0 if event["event"] == "return" else since + 1
-    home = (stops[-1].get("standstill") or {}).get("home")
+    standing = stops[-1].get("standstill")
+    home = standing.get("home") if isinstance(standing, dict) else None
     is_new_home = returning.gazer.rig.axis.standstill().home != home
     return since >= returning.every or is_new_home or not_in_control(returning) is not None
 
 
 def not_in_control(returning: Returning) -> str | None:
     """Return what is wrong with the zero by the returns so far; None if nothing."""
-    table = _table(returning.folder)
+    table = _table(returning)
     if table is None or not control_of(table, _encoder(returning.known)).outside[-1]:
         return None
     return control_words(table, _encoder(returning.known))
@@ -133,7 +134,7 @@ def return_to_first(returning: Returning) -> None:
     RigError
         If the target cannot be gazed at again, or the zero has changed.
     """
-    first = first_row(returning.folder)
+    first = first_row(returning.folder, target=returning.gazer.target.name)
     if first is None:
         return
     name = _next_name(returning.folder)
@@ -151,7 +152,7 @@ def return_to_first(returning: Returning) -> None:
     add_tables(returning.folder, {"returns": {"table": TABLE}})
     kept = {"c1": row.c1[-1], "c2": row.c2[0]}
     returning.folder.note("return", id=name, of=first.name, **row_journal(row, kept))
-    table = _table(returning.folder)
+    table = _table(returning)
     if table is not None:
         returning.announce(_chart(table, _encoder(returning.known)))
     wrong = not_in_control(returning)
@@ -159,9 +160,13 @@ def return_to_first(returning: Returning) -> None:
         raise RigError(wrong)
 
 
-def first_row(folder: GrowingFolder) -> First | None:
-    """Return the first row of a capture; None if its journal has none, or none that is whole."""
-    for event in folder.events("row"):
+def first_row(folder: GrowingFolder, *, target: str) -> First | None:
+    """Return the first row of a target's kind; None if the journal has none that is whole."""
+    begun = None
+    for event in folder.all_events():
+        begun = event.get("target") if event.get("event") == "start" else begun
+        if event.get("event") != "row" or begun != target:
+            continue
         try:
             return First(
                 name=str(event["id"]),
@@ -265,18 +270,20 @@ def _reading(returning: Returning, first: First, pixel_c1: FloatArray) -> float:
     return aiming.aim(pixel_c1, depth_mm=first.depth_mm).first_rad
 
 
-def _table(folder: GrowingFolder) -> ReturnTable | None:
-    """Return the returns so far; None if there are none.
+def _table(returning: Returning) -> ReturnTable | None:
+    """Return the returns so far to the present first target; None if there are none.
 
     Raises
     ------
     InputError
         If their table is damaged.
     """
-    text = folder.text(TABLE)
-    if text is None or not folder.rows(TABLE):
+    folder = returning.folder
+    text, first = folder.text(TABLE), first_row(folder, target=returning.gazer.target.name)
+    if text is None or first is None or not folder.rows(TABLE):
         return None
-    return scan_returns(text, name=TABLE).sound()
+    table = scan_returns(text, name=TABLE).sound().to(first.name)
+    return table if len(table) else None
 
 
 def _encoder(known: Description) -> Encoder:

@@ -31,6 +31,7 @@ from calib.uncertainty.format import (
     at_place,
     fixed,
     interval,
+    last_place,
     percent_down,
     plain,
     significant,
@@ -206,10 +207,16 @@ def _check_row(c: CheckedDepth, *, judged: bool) -> tuple[str, ...]:
         error.value,
         error.expanded_uncertainty or "∞",
         error.coverage_factor or NONE,
-        fixed(100 * (c.z_mm / c.reference_mm - 1), 2),
+        fixed(100 * (c.z_mm / c.reference_mm - 1), _percent_places(c)),
         *([NONE if c.conformity is None else percent_down(c.conformity.probability)] * judged),
         statement,
     )
+
+
+def _percent_places(c: CheckedDepth) -> int:
+    """Return the decimals of an error in per cent: two, or more where its u is smaller."""
+    u = math.hypot(c.u_mm, c.u_reference_mm) if math.isfinite(c.u_mm) else 0.0
+    return max(2, -last_place(100 * u / c.reference_mm)) if u > 0 else 2
 
 
 def _lengths(evidence: Evidence) -> Annex | None:
@@ -280,18 +287,45 @@ def _correlations(calibration: CalibrationSummary) -> Annex:
             "too small. The digital certificate has the covariance with ten digits."
         ),
         tables=(
-            Table(
-                title="Estimate, standard uncertainty and covariance",
-                columns=("", "Estimate", "u", *symbols),
-                rows=tuple(
-                    (head, both.value, both.uncertainty, *cells)
-                    for (head, *cells), both in zip(covered, _estimates(p), strict=True)
-                ),
-                note=f"{units}; covariances in the products of these units.",
-            ),
+            *_covariance(p, symbols, covered, note=units),
             Table(title="Correlation coefficients", columns=("", *symbols), rows=rows),
         ),
     )
+
+
+COLUMNS = 6
+"""Covariances that a page shows side by side, with seven digits each."""
+
+
+def _covariance(
+    p: ParameterKnowledge,
+    symbols: Sequence[str],
+    covered: Sequence[Sequence[str]],
+    *,
+    note: str,
+) -> tuple[Table, ...]:
+    """Return estimates and covariance, in as many tables as their columns need."""
+    title, heads = "Estimate, standard uncertainty and covariance", ("", "Estimate", "u")
+    stated = [(both.value, both.uncertainty) for both in _estimates(p)]
+    note = f"{note}; covariances in the products of these units."
+    if len(symbols) <= COLUMNS:
+        rows = tuple(
+            (head, *own, *cells) for (head, *cells), own in zip(covered, stated, strict=True)
+        )
+        return (Table(title=title, columns=(*heads, *symbols), rows=rows, note=note),)
+    first = tuple((head, *own) for (head, *_), own in zip(covered, stated, strict=True))
+    tables = [Table(title="Estimate and standard uncertainty", columns=heads, rows=first)]
+    for start in range(0, len(symbols), COLUMNS):
+        end = min(start + COLUMNS, len(symbols))
+        tables.append(
+            Table(
+                title=f"Covariance, columns {symbols[start]} to {symbols[end - 1]}",
+                columns=("", *symbols[start:end]),
+                rows=tuple((head, *cells[start:end]) for head, *cells in covered),
+                note=note if end == len(symbols) else "",
+            )
+        )
+    return tuple(tables)
 
 
 def _estimates(p: ParameterKnowledge) -> list[Rounded]:

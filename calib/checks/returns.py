@@ -11,11 +11,12 @@ def returns_gates(dataset: Dataset) -> tuple[Gate, ...]:
     """Return the gate of a dataset's returns; none where C2 never returned."""
     if dataset.returns is None or not len(dataset.returns):
         return ()
-    found = control_of(dataset.returns, dataset.manifest.encoder)
+    encoder = dataset.manifest.encoder
+    firsts = [dataset.returns.to(first) for first in dict.fromkeys(dataset.returns.of)]
     return (
         Gate(
             "returns",
-            passed=found.first_alarm is None,
-            detail=control_words(dataset.returns, dataset.manifest.encoder),
+            passed=all(control_of(table, encoder).first_alarm is None for table in firsts),
+            detail="; ".join(control_words(table, encoder) for table in firsts),
         ),
     )

@@ -25,6 +25,9 @@ if TYPE_CHECKING:
 
 DONE, NOT_ALL = 0, 3
 
+SHOWN_ID = 60
+"""Characters of an id in a message."""
+
 POSITIONS = OutputKind(
     is_folder=False,
     marks=(
@@ -160,7 +163,9 @@ class _Tally:
         self.rows += len(block)
         self.failed += len(faults)
         for i in sorted(faults)[: NAMED_FAULTS - len(self._named)]:
-            where = f"{self.name}, line {block.lines[i]} (id {block.ids[i]})"
+            name = block.ids[i]
+            cut = name if len(name) <= SHOWN_ID else f"{name[: SHOWN_ID - 1]}…"
+            where = f"{self.name}, line {block.lines[i]} (id {cut})"
             if self._strict:
                 remedy = "mend the row, or leave --strict out"
                 raise InputError.single(where=where, what=faults[i], remedy=remedy)

@@ -28,6 +28,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--c2", choices=("right", "left"), default="right", help="side of C1; default: right"
     )
+    parser.add_argument(
+        "--c1-field",
+        type=float,
+        metavar="DEG",
+        help="wide (equidistant) lens of C1 with this field along the diagonal, with --images",
+    )
     parser.add_argument("--model", default="axis-offset", help="default: axis-offset")
     parser.add_argument("--rows", type=rows, default=14, metavar="N", help="default: 14")
     parser.add_argument("--validation-rows", type=rows, default=10, metavar="N", help="default: 10")
@@ -60,6 +66,7 @@ def run(arguments: argparse.Namespace) -> int:
         validation_rows=arguments.validation_rows,
         images=arguments.images,
         is_left=arguments.c2 == "left",
+        c1_field_deg=arguments.c1_field,
         outlier_share=arguments.outliers,
         faults=dict(_fault(text) for text in arguments.fault),
         fixed=_each_once(map(_assignment, arguments.set)),

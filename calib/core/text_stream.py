@@ -12,7 +12,7 @@ CHUNK_BYTES = 1 << 20
 
 
 def read_texts(file: IO[bytes], *, name: str) -> Iterator[str]:
-    """Yield the pieces of a UTF-8 text.
+    """Yield the pieces of a UTF-8 text; other bytes become what `surrogateescape` makes of them.
 
     Parameters
     ----------
@@ -24,22 +24,16 @@ def read_texts(file: IO[bytes], *, name: str) -> Iterator[str]:
     Raises
     ------
     InputError
-        If it is not UTF-8 text, or cannot be read.
+        If it cannot be read.
     """
-    decoder, remedy = codecs.getincrementaldecoder("utf-8")(), "save it as CSV, plain text in UTF-8"
+    decoder = codecs.getincrementaldecoder("utf-8")("surrogateescape")
     while True:
         try:
             data = file.read1(CHUNK_BYTES)  # type: ignore[attr-defined] # of a buffered reader
-            text = decoder.decode(data, final=not data)
-        except UnicodeDecodeError as error:
-            what = f"is not UTF-8: byte 0x{error.object[error.start]:02X}"
-            raise InputError.single(where=name, what=what, remedy=remedy) from None
         except OSError as error:
             what = f"cannot be read ({error.strerror or error})"
             raise InputError.single(where=name, what=what, remedy="name a CSV file") from None
-        if "\x00" in text:
-            raise InputError.single(where=name, what="holds NUL bytes", remedy=remedy)
-        if text:
+        if text := decoder.decode(data, final=not data):
             yield text
         if not data:
             return

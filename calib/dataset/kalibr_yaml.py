@@ -60,7 +60,9 @@ def read_kalibr(text: str, *, name: str, camera: str) -> YamlCamera:
         _refuse(name, f"'{chosen}' is no section", "write it again with Kalibr")
     section = by_key(node, name)
     _known(name, "camera_model", _text(section.get("camera_model")), ("pinhole",))
-    model = _text(section.get("distortion_model", yaml.ScalarNode("", "none")))
+    if "distortion_model" not in section:
+        _refuse(name, f"'{chosen}' has no 'distortion_model'", "write it again with Kalibr")
+    model = _text(section["distortion_model"])
     _known(name, "distortion_model", model, MODELS)
     projection, count = MODELS[model]
     lens = _numbers(section, "distortion_coeffs", name) if count else np.zeros(0)

@@ -67,9 +67,13 @@ _MODEL_KEY = re.compile(
     r"(distortion|lens|projection|camera)?[_.]?(model|type)(_type|_name)?|fisheye_model|projection",
     re.IGNORECASE,
 )
+_OMNIDIRECTIONAL_KEYS = ("xi", "mirror_parameters")
+"""Written by `cv2.omnidir` and CamOdoCal beside a matrix and coefficients like a pinhole's."""
+
 _SURE_KEYS = ("distortion_model", "distortion_type", "lens_model", "projection_model")
 _DISTORTION_NAMES = ("distortion_coefficients", "dist_coeffs")
 _FLOAT = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
+_OTHER = "calibrate with one of OpenCV's (pinhole, rational, fisheye), or give images"
 _AGAIN = "write the file again with cv2.FileStorage"
 
 
@@ -105,6 +109,9 @@ def read_yaml_camera(text: str, *, name: str) -> YamlCamera:
     root = root_of(text, name)
     lens = next((key for key in _DISTORTION_NAMES if key in root), _DISTORTION_NAMES[0])
     projection = _projection(root, name)
+    for key in _OMNIDIRECTIONAL_KEYS:
+        if key in root:
+            _refuse(name, f"has '{key}', of an omnidirectional lens model", _OTHER)
     for key in ("camera_matrix", lens, "image_width", "image_height"):
         if key not in root:
             _refuse(name, f"has no '{key}'", "write the file as OpenCV's calibration sample does")
@@ -216,7 +223,7 @@ def _projection(root: Mapping[str, Any], name: str) -> ProjectionName:
             _refuse(
                 name,
                 f"{key} {shown(value)} is none of OpenCV's lens models",
-                "calibrate with one of them (pinhole, rational, fisheye), or give images",
+                _OTHER,
             )
     if len(found) > 1:
         said = " and ".join(found.values())

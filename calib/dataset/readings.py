@@ -7,26 +7,21 @@ is, and each that cannot says why.
 
 from __future__ import annotations
 
-import csv
-import io
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
-from functools import partial
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from calib.core.arrays import BoolArray, FloatArray, IntArray
 from calib.core.errors import InputError
 from calib.dataset.cells import check_header, parse_number
+from calib.dataset.csv_lines import LONGEST_ROW, lines_end, parse_lines
 from calib.dataset.messages import shown, text_fault
-from calib.dataset.plausible import LARGEST_COTANGENT, LARGEST_NORMALISED, RADIANS_BELOW
 from calib.dataset.readers import GAZE_COLUMNS, REFERENCE_COLUMN
+from calib.dataset.reading_values import value_faults
 from calib.dataset.tables import GazeTable, freeze
 
 NUMBERS = ("x1c", "y1c", "u1_px", "v1_px", "alpha2_deg", "ctan_alpha2", "u2_px")
-
-LONGEST_RECORD = 1_000_000
-"""Characters: a quotation mark that is never closed would else take in the rest of a stream."""
 
 
 @dataclass(frozen=True)
@@ -84,8 +79,8 @@ def read_blocks(texts: Iterator[str], *, name: str, whole: bool = False) -> Iter
             # The header alone: it says whether the rows may be taken one by one.
             held.append(text)
             joined = "".join(held)
-            end = _records_end(joined)
-            if end == 0 and len(joined) < LONGEST_RECORD:
+            end = lines_end(joined)
+            if end == 0 and len(joined) <= LONGEST_ROW:
                 continue
             first = joined.find("\n") + 1 or end
             reader.feed(joined[:first])
@@ -127,31 +122,37 @@ class ReadingsReader:
     _rest: str = ""
     _line: int = 0
     _first: bool = True
+    _empty: list[int] = field(default_factory=list)
     rows: int = 0
 
     def feed(self, text: str, *, last: bool = False) -> ReadingBlock | None:
         """Return the rows that are complete with this piece; None if there are none.
 
+        A row is a line: no cell of a reading has a line break, and a quotation mark that is not
+        closed spoils its own row alone.
+
         Raises
         ------
         InputError
-            If the header is none, or lacks a column, or a quotation mark is not closed.
+            If the header is none, or lacks a column.
         """
         if self._first and text:
             text, self._first = text.removeprefix("\ufeff"), False
         text = self._rest + text
-        end = len(text) if last else _records_end(text)
-        text, self._rest = text[:end], text[end:]
-        if len(self._rest) > LONGEST_RECORD:
-            raise self._no_csv("a record has no end", "close every quotation mark")
-        records, lines = self._records(text)
+        end = len(text) if last else lines_end(text)
+        text, self._rest = text[:end], text[end:][: LONGEST_ROW + 1]
+        records, lines, faults = self._records(text)
         if self._header is None and records:
+            if 0 in faults:
+                where, remedy = f"{self.name}, line {lines[0]}", "save the table as CSV in UTF-8"
+                raise InputError.single(where=where, what=f"header {faults[0]}", remedy=remedy)
             self._header = check_header(
                 records[0], f"{self.name}, line {lines[0]}", GAZE_COLUMNS, REFERENCE_COLUMN
             )
             _require_sources(self._header, self.name)
             records, lines = records[1:], lines[1:]
-        return self._block(records, lines) if records else None
+            faults = {i - 1: fault for i, fault in faults.items()}
+        return self._block(records, lines, faults) if records else None
 
     @property
     def has_header(self) -> bool:
@@ -163,37 +164,40 @@ class ReadingsReader:
         """Names of the columns; none before the header has been read."""
         return tuple(self._header or ())
 
-    def _no_csv(self, what: str, remedy: str) -> InputError:
-        return InputError.single(
-            where=f"{self.name}, line {self._line + 1}", what=f"is not CSV: {what}", remedy=remedy
-        )
+    def _records(self, text: str) -> tuple[list[list[str]], list[int], dict[int, str]]:
+        """Return the rows of a text, the line of each, and what is wrong with the form of which.
 
-    def _records(self, text: str) -> tuple[list[list[str]], list[int]]:
-        """Return the records of a text and the line each ends on, blank ones left out."""
-        if not text:
-            return [], []
-        reader = csv.reader(io.StringIO(text, newline=""), strict=True, skipinitialspace=True)
+        Blank lines are left out, and rows of nothing but commas where no other follows, as
+        spreadsheets leave them at the end.
+        """
+        cells, wrong = parse_lines(text)
+        first, self._line = self._line + 1, self._line + len(cells)
         records: list[list[str]] = []
         lines: list[int] = []
-        try:
-            for record in reader:
-                if any(record) and any(cell.strip() for cell in record):
-                    records.append(record)
-                    lines.append(self._line + reader.line_num)
-        except csv.Error as error:
-            self._line += reader.line_num
-            raise self._no_csv(
-                str(error), "close every quotation mark, or leave them out"
-            ) from None
-        self._line += reader.line_num
-        return records, lines
+        faults: dict[int, str] = {}
+        for i, record in enumerate(cells):
+            if any(record) and any(cell.strip() for cell in record):
+                if self._empty:
+                    records += [[] for _ in self._empty]
+                    lines += self._empty
+                    self._empty = []
+                if i in wrong:
+                    faults[len(records)] = wrong[i]
+                records.append(record)
+                lines.append(first + i)
+            elif len(record) > 1 and self._header is not None:
+                self._empty.append(first + i)
+        return records, lines, faults
 
-    def _block(self, records: list[list[str]], lines: list[int]) -> ReadingBlock:
+    def _block(
+        self, records: list[list[str]], lines: list[int], faults: dict[int, str]
+    ) -> ReadingBlock:
         header = self._header or []
-        width, faults = len(header), {}
+        width = len(header)
         for i, record in enumerate(records):
             if len(record) != width:
-                faults[i] = f"has {len(record)} cells, the header has {width}"
+                count = f"has {len(record)} cells, the header has {width}"
+                faults.setdefault(i, count if record else "is empty")
                 records[i] = (record + [""] * width)[:width]
         columns = {
             name: tuple(map(str.strip, cells))
@@ -202,15 +206,6 @@ class ReadingsReader:
         self.rows += len(records)
         rows = _Rows(columns, len(records), faults)
         return rows.block(self.name, tuple(lines))
-
-
-def _records_end(text: str) -> int:
-    """Return where the last complete record of a text ends."""
-    end = max(text.rfind("\n"), text.rfind("\r", 0, len(text) - 1)) + 1
-    # Within quotation marks a line break ends no record.
-    while end and text.count('"', 0, end) % 2:
-        end = max(text.rfind("\n", 0, end - 1), text.rfind("\r", 0, end - 1)) + 1
-    return end
 
 
 def _require_sources(header: Sequence[str], name: str) -> None:
@@ -240,7 +235,8 @@ class _Rows:
         self._check_names()
         values = {column: self.numbers(column) for column in NUMBERS}
         self._check_sources()
-        self._check_values(values)
+        for i, fault in value_faults(values).items():
+            self.faults.setdefault(i, fault)
         good = np.array([i for i in range(self.count) if i not in self.faults], dtype=np.int64)
         if len(good) == self.count:
             table = self._table(name, lines, ids, values)
@@ -299,10 +295,10 @@ class _Rows:
             return np.zeros(self.count, dtype=np.bool_)
         return np.fromiter(map(bool, self.columns[column]), np.bool_, self.count)
 
-    def mark(self, bad: BoolArray, fault: str | Callable[[int], str]) -> None:
+    def mark(self, bad: BoolArray, fault: str) -> None:
         """Give rows a fault; the first one counts."""
         for i in map(int, np.flatnonzero(bad)):
-            self.faults.setdefault(i, fault if isinstance(fault, str) else fault(i))
+            self.faults.setdefault(i, fault)
 
     def numbers(self, column: str) -> FloatArray:
         """Return a column as numbers, NaN where empty or faulty."""
@@ -348,38 +344,3 @@ class _Rows:
         degrees, cotangent = self.filled("alpha2_deg"), self.filled("ctan_alpha2")
         self.mark(degrees & cotangent, "alpha2_deg and ctan_alpha2 are given: give one of them")
         self.mark(~(degrees | cotangent), "alpha2_deg is empty")
-
-    def _check_values(self, values: dict[str, FloatArray]) -> None:
-        degrees, cotangent = values["alpha2_deg"], values["ctan_alpha2"]
-        self.mark(
-            (degrees <= 0) | (degrees >= 180),
-            lambda i: _outside(float(degrees[i])),
-        )
-        self.mark(
-            (degrees > 0) & (degrees < RADIANS_BELOW),
-            lambda i: f"alpha2_deg {degrees[i]:g}: radians? give degrees",
-        )
-        self.mark(
-            np.abs(cotangent) > LARGEST_COTANGENT,
-            lambda i: f"ctan_alpha2 {cotangent[i]:g} looks like an angle",
-        )
-        for column in ("x1c", "y1c"):
-            self.mark(
-                np.abs(values[column]) > LARGEST_NORMALISED,
-                partial(_looks_like_pixels, column, values[column]),
-            )
-
-
-def _outside(degrees: float) -> str:
-    """Return what is wrong with a reading that is outside (0, 180)."""
-    if -90 < degrees < 0:
-        guess = ": counted about 0? at 90 C2 looks parallel to Z of C1"
-    elif abs(degrees) > 360 and degrees.is_integer():
-        guess = ": a count? give it times resolution_deg"
-    else:
-        guess = ""
-    return f"alpha2_deg {degrees:g} is outside (0, 180){guess}"
-
-
-def _looks_like_pixels(column: str, values: FloatArray, row: int) -> str:
-    return f"{column} {values[row]:g} looks like pixels"

@@ -178,6 +178,20 @@ class ReturnTable:
     def __len__(self) -> int:
         return len(self.ids)
 
+    def to(self, first: str) -> ReturnTable:
+        """Return the returns to the target of one row alone."""
+        rows = [i for i, name in enumerate(self.of) if name == first]
+        return ReturnTable(
+            file=self.file,
+            line=tuple(self.line[i] for i in rows),
+            ids=tuple(self.ids[i] for i in rows),
+            of=tuple(self.of[i] for i in rows),
+            after=tuple(self.after[i] for i in rows),
+            change_rad=self.change_rad[rows],
+            u_change_rad=self.u_change_rad[rows],
+            u_first_rad=self.u_first_rad[rows],
+        )
+
 
 def freeze(table: GazeTable | SweepTable | LengthTable | ReturnTable) -> None:
     """Make the arrays of a table read-only."""

@@ -11,14 +11,13 @@ from calib.core.arrays import FloatArray
 from calib.core.errors import EstimationError
 from calib.diagnosis.bases import Base, measured, prior_volume
 from calib.diagnosis.hypotheses import HYPOTHESES, Hypothesis
-from calib.diagnosis.refit import Added, Refit, Setting
+from calib.diagnosis.refit import Added, Refit, Setting, corrected
 from calib.diagnosis.small_prior import by_small_prior
-from calib.diagnosis.trials import Loaded, Mended, Periodic, Search, Trial, TwoSided
+from calib.diagnosis.trials import Distorted, Loaded, Mended, Periodic, Search, Trial, TwoSided
 from calib.fit.noise import ROBUST, log_density
 from calib.fit.start import find_start
 from calib.geometry.misclosure import misclosure_value
 from calib.geometry.parameters import INDEX, REFERENCE_OFFSET
-from calib.geometry.plane import OBSERVABLE
 from calib.rows.observations import Observations
 
 REFITTED = 3
@@ -48,8 +47,11 @@ SHARE_TOLERANCE = 0.25
 NORMAL_QUARTILE = 0.6745
 """Median size of a standard normal number."""
 
-PHASE_ROUNDS = 4
-"""Rounds in which the phase of a periodic error settles."""
+IMPLICIT_ROUNDS = 8
+"""Rounds in which errors settle that depend on the true gaze."""
+
+SETTLED = 1e-3
+"""Change of the largest of them, relative, at which they have."""
 
 
 @dataclass(frozen=True)
@@ -97,8 +99,8 @@ def _tried(trial: Trial, hypothesis: Hypothesis, base: Base) -> Iterator[Outcome
             return
         case Loaded(loadings=loadings):
             found = _loaded(loadings, hypothesis, base)
-        case Periodic():
-            found = _periodic(trial, hypothesis, base)
+        case Periodic() | Distorted():
+            found = _implicit(trial, hypothesis, base)
         case TwoSided(loadings=loadings):
             found = _two_sided(loadings, hypothesis, base)
         case Mended():
@@ -135,18 +137,19 @@ def _loaded(
     )
 
 
-def _periodic(trial: Periodic, hypothesis: Hypothesis, base: Base) -> Outcome | None:
-    """Return the fit of errors that repeat with the true angle, which they are taken off to get."""
-    alpha = base.looked.rows.alpha2_rad
-    loadings, best = trial.loadings(alpha), None
-    for _ in range(PHASE_ROUNDS):
+def _implicit(trial: Periodic | Distorted, hypothesis: Hypothesis, base: Base) -> Outcome | None:
+    """Return the fit of errors that depend on the true gaze, which they are taken off to get."""
+    rows = base.looked.rows
+    loadings, best = trial.loadings(rows.gaze), None
+    for _ in range(IMPLICIT_ROUNDS):
         found = _loaded(loadings, hypothesis, base)
         if found is None:
             break
         if best is None or found.gain > best.gain:
             best = found
-        error = loadings[:, OBSERVABLE.alpha2] @ found.values
-        loadings = trial.loadings(alpha - error)
+        before, loadings = loadings, trial.loadings(corrected(rows, loadings, found.values)[0])
+        if np.abs(loadings - before).max() < SETTLED * np.abs(loadings).max():
+            break
     return best
 
 

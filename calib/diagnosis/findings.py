@@ -10,6 +10,7 @@ import numpy as np
 from calib.core.arrays import FloatArray
 from calib.diagnosis.hypotheses import HYPOTHESES, Hypothesis
 from calib.diagnosis.structure import Stretched, Structure
+from calib.uncertainty.format import with_uncertainty
 
 MATTERS = 1.0
 """Effect on a depth, in its standard uncertainties, from which a cause may not be left out."""
@@ -52,7 +53,11 @@ class Attempt:
     @property
     def text(self) -> str:
         """What it says, with its figures."""
-        value = f"{self.estimate:.3g} +- {self.std:.2g} {self.hypothesis.unit}".removesuffix(" 1")
+        value = ""
+        if self.std > 0:
+            rounded = with_uncertainty(self.estimate, self.std)
+            value = f"{rounded.value} +- {rounded.uncertainty} {self.hypothesis.unit}"
+            value = value.removesuffix(" 1")
         by_rows, by_references = self.hypothesis.text, self.hypothesis.by_references
         text = by_references if self.seen_in == "references" else by_rows
         return text.format(value=value, at=self.at)
@@ -155,7 +160,7 @@ class Diagnosis:
     @property
     def left_out(self) -> Cause | None:
         """The first cause that the model does not allow for and that matters for depths."""
-        found = [c for c in self.causes if not c.is_carried and c.effect > MATTERS]
+        found = [cause for cause in self.causes if self.matters(cause)]
         return found[0] if found else None
 
     def others(self, cause: Cause) -> tuple[str, ...]:
@@ -173,4 +178,11 @@ class Diagnosis:
         if others := self.others(cause):
             either = [f"{name} ({HYPOTHESES[name].remedy})" for name in others]
             text += f". As well it may be {' or '.join(either)}: {cause.hypothesis.tells}"
+        for other in self.causes:
+            if other.beside == cause.name:
+                text += f". {other.name}: {other.text}; {other.hypothesis.remedy}"
         return text
+
+    def matters(self, cause: Cause) -> bool:
+        """Whether leaving a cause out moves a depth by more than its u."""
+        return not cause.is_carried and cause.effect > MATTERS

@@ -7,12 +7,11 @@ from dataclasses import replace
 import numpy as np
 
 from calib.core.arrays import FloatArray
-from calib.diagnosis.attempts import PHASE_ROUNDS
+from calib.diagnosis.attempts import IMPLICIT_ROUNDS
 from calib.diagnosis.findings import Suspect
 from calib.diagnosis.refit import corrected
 from calib.diagnosis.session import RowHistory, Session
-from calib.diagnosis.trials import Loaded, Looked, Mended, Periodic
-from calib.geometry.plane import OBSERVABLE
+from calib.diagnosis.trials import Distorted, Loaded, Looked, Mended, Periodic
 from calib.rows.from_table import ValidationRows
 from calib.rows.observations import Observations
 
@@ -47,11 +46,10 @@ def _mended(suspect: Suspect, rows: Observations, history: RowHistory) -> Observ
     match trials[0]:
         case Loaded(loadings=loadings):
             pass
-        case Periodic() as periodic:
-            loadings = periodic.loadings(rows.alpha2_rad)
-            for _ in range(PHASE_ROUNDS):
-                error = loadings[:, OBSERVABLE.alpha2] @ suspect.values
-                loadings = periodic.loadings(rows.alpha2_rad - error)
+        case (Periodic() | Distorted()) as implicit:
+            loadings = implicit.loadings(rows.gaze)
+            for _ in range(IMPLICIT_ROUNDS):
+                loadings = implicit.loadings(corrected(rows, loadings, suspect.values)[0])
         case Mended(rows=mended):
             return replace(mended, z_mm=rows.z_mm)
         case _:

@@ -10,7 +10,7 @@ import numpy as np
 from calib.core.arrays import FloatArray
 from calib.diagnosis.session import Session
 from calib.fit.noise import outlier_limit
-from calib.geometry.plane import OBSERVABLE
+from calib.geometry.plane import OBSERVABLE, Gaze
 from calib.rows.observations import Observations
 
 DEG = float(np.deg2rad(1.0))
@@ -71,10 +71,20 @@ class Periodic:
 
     period_rad: float
 
-    def loadings(self, alpha2_rad: FloatArray) -> FloatArray:
-        """Return the errors per unit of cosine and sine at true angles, shape (n, 5, 2)."""
-        phase = 2 * np.pi * alpha2_rad / self.period_rad
+    def loadings(self, gaze: Gaze) -> FloatArray:
+        """Return the errors per unit of cosine and sine at true gazes, shape (n, 5, 2)."""
+        phase = 2 * np.pi * gaze.alpha2 / self.period_rad
         return on_column(OBSERVABLE.alpha2, np.stack([np.cos(phase), np.sin(phase)], axis=1))
+
+
+@dataclass(frozen=True)
+class Distorted:
+    """Errors of C1's coordinates by a cubic distortion of where the target truly is."""
+
+    def loadings(self, gaze: Gaze) -> FloatArray:
+        """Return the errors per unit of k1 at true gazes, shape (n, 5, 1)."""
+        square = gaze.x1c**2 + gaze.y1c**2
+        return _of_c1(gaze.x1c * square, gaze.y1c * square)
 
 
 @dataclass(frozen=True)
@@ -116,7 +126,7 @@ class Mended:
     exchanged: tuple[int, ...] = ()
 
 
-Trial = Search | Loaded | Periodic | TwoSided | Mended
+Trial = Search | Loaded | Periodic | Distorted | TwoSided | Mended
 
 
 @dataclass(frozen=True)
@@ -196,15 +206,15 @@ def backlash(seen: Looked) -> tuple[Trial, ...]:
 
 def microstep(seen: Looked) -> tuple[Trial, ...]:
     """Let readings err with the period of a full step."""
-    session, alpha = seen.session, seen.rows.alpha2_rad
+    session = seen.session
     full = session.full_step_rad
     periods = [full] if full is not None else [session.step_rad * 2**k for k in range(2, 9)]
     found: list[Trial] = []
     for period in periods:
         trial = Periodic(period)
-        waves = trial.loadings(alpha)[:, OBSERVABLE.alpha2]
+        waves = trial.loadings(seen.rows.gaze)[:, OBSERVABLE.alpha2]
         varies = np.linalg.svd(waves - waves.mean(axis=0), compute_uv=False)[-1]
-        if period < 8 * DEG and varies > 0.1 * np.sqrt(len(alpha)):
+        if period < 8 * DEG and varies > 0.1 * np.sqrt(len(waves)):
             found.append(trial)
     return tuple(found)
 
@@ -216,27 +226,25 @@ def twice_per_turn(seen: Looked) -> tuple[Trial, ...]:
     return (Loaded(on_column(OBSERVABLE.alpha2, waves)),)
 
 
-def _of_c1(by_x: FloatArray, by_y: FloatArray) -> tuple[Trial, ...]:
+def _of_c1(by_x: FloatArray, by_y: FloatArray) -> FloatArray:
     loadings = np.zeros((len(by_x), len(OBSERVABLE), 1))
     loadings[:, OBSERVABLE.x1c, 0], loadings[:, OBSERVABLE.y1c, 0] = by_x, by_y
-    return (Loaded(loadings),)
+    return loadings
 
 
-def distortion(seen: Looked) -> tuple[Trial, ...]:
+def distortion(_: Looked) -> tuple[Trial, ...]:
     """Take coordinates for those of a lens with a cubic distortion."""
-    x, y = seen.rows.x1c, seen.rows.y1c
-    square = x**2 + y**2
-    return _of_c1(x * square, y * square)
+    return (Distorted(),)
 
 
 def principal_point(seen: Looked) -> tuple[Trial, ...]:
     """Count x1c from a point beside the principal point."""
-    return _of_c1(np.ones(len(seen.rows)), np.zeros(len(seen.rows)))
+    return (Loaded(_of_c1(np.ones(len(seen.rows)), np.zeros(len(seen.rows)))),)
 
 
 def focal_length(seen: Looked) -> tuple[Trial, ...]:
     """Let coordinates be too large by a factor."""
-    return _of_c1(seen.rows.x1c, seen.rows.y1c)
+    return (Loaded(_of_c1(seen.rows.x1c, seen.rows.y1c)),)
 
 
 def by_references_alone(_: Looked) -> tuple[Trial, ...]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import numpy as np
 
@@ -67,13 +68,18 @@ class Averaged:
 
 
 def measure_by(
-    measuring: Measuring, table: GazeTable, *, model: str, seen: ImageObservations | None = None
+    measuring: Measuring,
+    table: GazeTable,
+    *,
+    model: str,
+    seen: ImageObservations | None = None,
+    refused: Mapping[int, str] = MappingProxyType({}),
 ) -> Positions:
     """Return the positions of the points in a table, by one model or by all of them.
 
     Parameters
     ----------
-    seen
+    seen, refused
         As in `calib.instrument.measuring.measure`.
     model
         `SELECTED`, `AVERAGE`, "rows", "adjustment" or the name of a fitted model.
@@ -84,8 +90,8 @@ def measure_by(
         If the calibration has no such model.
     """
     if model == AVERAGE:
-        return measure_average(measuring, table, seen)
-    return measure(instrument_of(measuring, model), table, seen)
+        return measure_average(measuring, table, seen, refused=refused)
+    return measure(instrument_of(measuring, model), table, seen, refused=refused)
 
 
 def instrument_of(measuring: Measuring, model: str) -> Measuring:
@@ -112,7 +118,7 @@ def instrument_of(measuring: Measuring, model: str) -> Measuring:
                 factor95=share.factor95,
             )
     known = ", ".join((SELECTED, *measuring.by, *(share.model for share in measuring.shares)))
-    raise UsageError(f"--model {model}: is no one model of the calibration, which has {known}")
+    raise UsageError(f"model {model}: no one model of the calibration, which has {known}")
 
 
 def _by_rows(measuring: Measuring) -> Measuring:
@@ -121,7 +127,11 @@ def _by_rows(measuring: Measuring) -> Measuring:
 
 
 def measure_average(
-    measuring: Measuring, table: GazeTable, seen: ImageObservations | None = None
+    measuring: Measuring,
+    table: GazeTable,
+    seen: ImageObservations | None = None,
+    *,
+    refused: Mapping[int, str] = MappingProxyType({}),
 ) -> Averaged:
     """Return the positions of the points in a table of readings, by all models together.
 
@@ -134,11 +144,14 @@ def measure_average(
     shares = [share for share in measuring.shares if share.weight >= NEGLIGIBLE]
     if not shares:
         raise UsageError(
-            f"--model {AVERAGE}: the calibration holds its selected model alone; calibrate again"
+            f"model {AVERAGE}: the calibration holds its selected model alone; calibrate again"
         )
     weights = np.array([share.weight for share in shares])
     weights /= weights.sum()
-    models = tuple(measure(instrument_of(measuring, share.model), table, seen) for share in shares)
+    models = tuple(
+        measure(instrument_of(measuring, share.model), table, seen, refused=refused)
+        for share in shares
+    )
     return _mixed(weights, models, np.array([share.factor95 for share in shares]))
 
 

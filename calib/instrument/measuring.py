@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Protocol
 
 import numpy as np
@@ -166,12 +167,18 @@ class Measured:
 
 
 def measure(
-    measuring: Measuring, table: GazeTable, seen: ImageObservations | None = None
+    measuring: Measuring,
+    table: GazeTable,
+    seen: ImageObservations | None = None,
+    *,
+    refused: Mapping[int, str] = MappingProxyType({}),
 ) -> Measured:
     """Return the positions of the points in a table of readings.
 
     Parameters
     ----------
+    refused
+        Rows that are no readings, by their place, and why: they are not measured.
     seen
         Where pictures show the targets, and how well, for rows whose pixels are also in the table;
         None takes the pixels of the table with their usual uncertainty.
@@ -180,7 +187,7 @@ def measure(
     the picture or where the lens has no ray, the calibration lacks the camera, or C1's ray and C2's
     gaze plane do not meet in front of C1.
     """
-    table, faults = _usable(measuring, table)
+    table, faults = _usable(measuring, table, refused)
     rows = observe(table, measuring.setup, seen)
     loadings = rows.shared[:, : OBSERVABLE.z] if rows.shared_names else None
     # With u2 the motor's step is measured and no longer an error: rows differ.
@@ -284,9 +291,11 @@ def _depth_sources(table: GazeTable, faults: dict[int, str]) -> tuple[BoolArray,
     return source != own, source
 
 
-def _usable(measuring: Measuring, table: GazeTable) -> tuple[GazeTable, dict[int, str]]:
+def _usable(
+    measuring: Measuring, table: GazeTable, refused: Mapping[int, str]
+) -> tuple[GazeTable, dict[int, str]]:
     """Return the table without the pixels that no ray reaches, and why rows have none."""
-    faults: dict[int, str] = {}
+    faults = dict(refused)
     cleared = table
     for name, columns in (("c1", ("u1_px", "v1_px")), ("c2", ("u2_px",))):
         pixels = np.stack([getattr(table, column) for column in columns], axis=1)
@@ -296,7 +305,10 @@ def _usable(measuring: Measuring, table: GazeTable) -> tuple[GazeTable, dict[int
         camera: Camera | None = getattr(measuring.setup.cameras, name)
         fault = np.full(len(table), None, dtype=object)
         if camera is None:
-            fault[given] = f"is in pixels of {name}, whose intrinsics the calibration does not hold"
+            fault[given] = (
+                f"{' '.join(columns)}: in pixels of {name}, whose intrinsics the calibration does "
+                "not hold"
+            )
         else:
             full = pixels if name == "c1" else on_centre_row(camera, pixels[:, 0])
             fault[without_ray(camera, full)] = (

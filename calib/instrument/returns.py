@@ -12,7 +12,7 @@ from calib.uncertainty.control import Control, Returns, control, lost_full_steps
 
 
 def control_of(table: ReturnTable, encoder: Encoder | None) -> Control:
-    """Return the charts of a table of returns, which has one at least."""
+    """Return the charts of a table of returns to one target, which has one at least."""
     return control(_returns(table, encoder))
 
 

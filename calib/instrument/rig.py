@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
+from operator import index
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from numpy.typing import ArrayLike
 
 from calib.core.arrays import BoolArray, FloatArray
 from calib.core.errors import UsageError
+from calib.dataset.reading_values import not_numbers, value_faults
 from calib.dataset.tables import GazeTable
 from calib.instrument.by_model import SELECTED, measure_by
 from calib.instrument.calibration_file import Measuring, read_calibration
@@ -74,7 +76,12 @@ class Rig:
         The instrument, as the calibration describes it.
     """
 
-    measuring: Measuring
+    measuring: Measuring = field(repr=False)
+
+    def __repr__(self) -> str:
+        low, high = self.calibrated_mm
+        failed = f", gates failed: {', '.join(self.failed_gates)}" if self.failed_gates else ""
+        return f"Rig(calibrated from {low:g} to {high:g} mm, {' '.join(self.models)}{failed})"
 
     @property
     def failed_gates(self) -> tuple[str, ...]:
@@ -110,7 +117,8 @@ class Rig:
         ----------
         alpha2_deg
             Readings of the encoder, degrees in (0, 180), shape (n,). All others have this shape,
-            or are one number for all.
+            or are one number for all. A NaN in any of them, given that it could not be read,
+            leaves its target unmeasured, as do values that `calib measure` refuses.
         x1c, y1c
             Normalised, undistorted coordinates in C1.
         u1_px, v1_px
@@ -120,7 +128,7 @@ class Rig:
             exactly.
         depth_of
             For each reading the place of the one whose measured depth it takes, as corners of a
-            plane board do; by default its own.
+            plane board do, counted from 0; by default its own.
         model
             One of `models`.
 
@@ -132,13 +140,19 @@ class Rig:
         Raises
         ------
         UsageError
-            If arrays have different lengths or coordinates are missing, or there is no such model.
+            If arrays have different lengths or coordinates are missing, `depth_of` names a place
+            that there is not, or there is no such model.
         """
         columns = _columns(
             alpha2_deg=alpha2_deg, x1c=x1c, y1c=y1c, u1_px=u1_px, v1_px=v1_px, u2_px=u2_px
         )
+        # A value that is none must not pass for one that was left out, as y1c = 0 or u2 gazed at.
+        refused = value_faults(columns) | not_numbers(columns)
+        if refused:
+            columns = {name: _without(column, refused) for name, column in columns.items()}
         table = reading_table(columns, depth_of)
-        return Points(measure_by(self.measuring, table, model=model), self.calibrated_mm)
+        positions = measure_by(self.measuring, table, model=model, refused=refused)
+        return Points(positions, self.calibrated_mm)
 
 
 @dataclass(frozen=True)
@@ -158,6 +172,10 @@ class Points:
 
     def __len__(self) -> int:
         return len(self.positions.position_mm)
+
+    def __repr__(self) -> str:
+        beyond, none = int(self.extrapolated.sum()), len(self) - int(self.valid.sum())
+        return f"Points({len(self)} readings, {beyond} extrapolated, {none} not measured)"
 
     @property
     def xyz_mm(self) -> FloatArray:
@@ -209,14 +227,23 @@ class Points:
     def length(self, start: int, end: int) -> tuple[float, float]:
         """Return the distance of two points and its standard uncertainty, mm.
 
-        Errors that both points share cancel, as they do in the rig.
+        Errors that both points share cancel, as they do in the rig. NaN if one was not measured.
 
         Parameters
         ----------
         start, end
-            Places of the points.
+            Places of the points; negative ones count from the end.
+
+        Raises
+        ------
+        IndexError
+            If there is no such point.
         """
-        return self.positions.length(range(len(self))[start], range(len(self))[end])
+        places = range(len(self))
+        try:
+            return self.positions.length(places[start], places[end])
+        except IndexError:
+            raise IndexError(f"length: no points {start} and {end} among {len(self)}") from None
 
 
 def _columns(**given: Any) -> dict[str, FloatArray]:
@@ -279,6 +306,16 @@ def _depth_rows(depth_of: Sequence[int], ids: tuple[str, ...]) -> tuple[str, ...
     if len(depth_of) != len(ids):
         raise UsageError(f"measure: depth_of has {len(depth_of)} places, there are {len(ids)}")
     try:
-        return tuple(ids[i] for i in depth_of)
-    except (IndexError, TypeError):
-        raise UsageError(f"measure: depth_of: places go from 0 to {len(ids) - 1}") from None
+        places = [index(i) for i in depth_of]
+    except TypeError:
+        places = [-1]
+    if any(not 0 <= i < len(ids) for i in places):
+        raise UsageError(f"measure: depth_of: places go from 0 to {len(ids) - 1}")
+    return tuple(ids[i] for i in places)
+
+
+def _without(column: FloatArray, refused: Mapping[int, str]) -> FloatArray:
+    """Return a column, shape (n,), with NaN in the places that are refused."""
+    column = column.copy()
+    column[list(refused)] = np.nan
+    return column

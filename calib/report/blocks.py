@@ -79,9 +79,10 @@ class DefinitionList:
 
 @dataclass(frozen=True)
 class KeyFigures:
-    """The few figures to see first: label, value, remark."""
+    """The few figures to see first: label, value, remark; greyed where they are `void`."""
 
     tiles: tuple[tuple[Text, Text, Text], ...]
+    void: bool = False
     kind: Literal["tiles"] = field(default="tiles", init=False)
 
 

@@ -59,12 +59,19 @@ class Paragraph:
 Block: TypeAlias = PlainTable | Drawing | Paragraph
 
 _STYLE = """
-:root { color-scheme: light dark; --line: #d9d9d9; --bad: #a83200; --good: #00664d; }
-@media (prefers-color-scheme: dark) { :root { --line: #555; --bad: #ff9d70; --good: #5fd3b0; } }
+:root { color-scheme: light dark; --line: #d9d9d9; --bad: #a83200; --good: #00664d;
+  --cue: rgb(168 50 0 / .5); }
+@media (prefers-color-scheme: dark) { :root { --line: #555; --bad: #ff9d70; --good: #5fd3b0;
+  --cue: rgb(255 157 112 / .6); } }
 body { font: 15px/1.45 "DejaVu Sans", sans-serif; margin: 2em auto; max-width: 70em;
   padding: 0 1em; }
 h2 { font-size: 1.05em; margin-bottom: 0; }
-.wide { overflow-x: auto; margin: .6em 0 1.6em; }
+/* An edge behind which a table goes on is shaded; lids that scroll along cover it at the end. */
+.wide { overflow-x: auto; margin: .6em 0 1.6em; background:
+  linear-gradient(to right, Canvas 60%, transparent) 0 / 3em 100% no-repeat local,
+  linear-gradient(to left, Canvas 60%, transparent) 100% / 3em 100% no-repeat local,
+  linear-gradient(to right, var(--cue), transparent) 0 / 1.2em 100% no-repeat scroll,
+  linear-gradient(to left, var(--cue), transparent) 100% / 1.2em 100% no-repeat scroll; }
 table { border-collapse: collapse; width: max-content; max-width: max(100%, 58em); }
 th, td { padding: .2em .8em .2em 0; text-align: left; vertical-align: top;
   border-bottom: 1px solid var(--line); }
@@ -75,7 +82,7 @@ svg { max-width: 100%; height: auto; background: #fff; }
   gap: .3em; margin: .3em 0; break-inside: avoid; }
 .drawn svg { width: 100%; border-radius: 4px; }
 @media print { body { font-size: 11px; margin: 0; } table { width: 100%; max-width: 100%; }
-  .wide { overflow: visible; } .drawn { grid-template-columns: repeat(3, 1fr); }
+  .wide { overflow: visible; background: none; } .drawn { grid-template-columns: repeat(3, 1fr); }
   tr { break-inside: avoid; } }
 """
 

@@ -65,6 +65,9 @@ class SimulationOptions:
         Yaw sweep.
     is_left
         Whether C2 stands at -X of C1; `fixed` is then of such a rig.
+    c1_field_deg
+        Full field of view along the diagonal of an equidistant lens of C1, with images; None for
+        the drawn lens.
     faults
         Mistakes made with the rows, of `calib.simulate.faults`: size by name, None for the usual
         one (tables only).
@@ -85,6 +88,7 @@ class SimulationOptions:
     views: IntrinsicViews = field(default_factory=IntrinsicViews)
     sweep: SweepPlan = field(default_factory=SweepPlan)
     is_left: bool = False
+    c1_field_deg: float | None = None
     faults: Mapping[str, float | None] = field(default_factory=dict)
 
 

@@ -25,10 +25,20 @@ from calib.simulate.contents import (
     ids,
 )
 from calib.simulate.faults import Context, check_faults, spoil
-from calib.simulate.rig import Rig, draw_rig, mirror_rig
+from calib.simulate.rig import (
+    NARROWEST_FIELD_DEG,
+    WIDEST_FIELD_DEG,
+    Rig,
+    draw_rig,
+    draw_wide_camera,
+    mirror_rig,
+)
 from calib.simulate.scene import fitting_board
 from calib.simulate.session import draw_image_session
 from calib.simulate.tables import SimulatedRows, draw_targets, no_rig, observe
+
+WIDE_SEED = 15
+"""Sets the draw of a wide lens apart from all else, which stays as it is without."""
 
 
 def plan_dataset(options: SimulationOptions) -> Contents:
@@ -49,6 +59,10 @@ def plan_dataset(options: SimulationOptions) -> Contents:
         image_size=options.image_size,
         noise=options.noise,
     )
+    if options.c1_field_deg is not None:
+        lens = np.random.default_rng([options.seed, WIDE_SEED])
+        c1 = draw_wide_camera(lens, field_deg=options.c1_field_deg, image_size=options.image_size)
+        rig = replace(rig, c1=c1)
     if options.is_left:
         rig = mirror_rig(rig)
     near, _ = options.depth_range_mm or rig.depth_range_mm
@@ -60,6 +74,19 @@ def plan_dataset(options: SimulationOptions) -> Contents:
         raise no_rig(error) from error
 
 
+def _check_field(options: SimulationOptions) -> None:
+    field = options.c1_field_deg
+    if field is None:
+        return
+    if not options.images:
+        raise UsageError("--c1-field is of C1's pictures; add --images")
+    if not NARROWEST_FIELD_DEG <= field <= WIDEST_FIELD_DEG:
+        raise UsageError(
+            f"--c1-field {field:g}: an equidistant lens of {NARROWEST_FIELD_DEG:g} to "
+            f"{WIDEST_FIELD_DEG:g} degrees along the diagonal can be drawn"
+        )
+
+
 def _check(options: SimulationOptions) -> None:
     if options.model not in MODELS:
         raise UsageError(f"unknown model {options.model!r}; the models are {', '.join(MODELS)}")
@@ -67,6 +94,7 @@ def _check(options: SimulationOptions) -> None:
     check_faults(options.faults)
     if options.faults and options.images:
         raise UsageError("--fault makes mistakes in tables; leave out --images")
+    _check_field(options)
     if not 0 <= options.outlier_share <= 1:
         raise UsageError(f"a share of outliers of {options.outlier_share:g} is not between 0 and 1")
     if options.depth_range_mm is not None:

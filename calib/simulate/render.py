@@ -43,7 +43,8 @@ class Optics:
     noise
         Standard deviation of the grey values' noise, 8-bit steps.
     vignetting
-        Share s of the natural fall-off, gain = 1 / (1 + s tan^2)^2: 1 is cos^4, 0 none.
+        Share s of the natural fall-off, gain = 1 / (1 + s tan^2)^2: 1 is cos^4, 0 none. Of a wide
+        lens the angle stands for its tangent.
     exposure
         Grey value of a perfect white on the optical axis, 8-bit steps.
     """
@@ -88,7 +89,11 @@ def prepare(camera: Camera, optics: Optics, *, spacing_px: int = 1) -> Imager:
     """
     rays = _rays(camera, spacing_px)
     slopes = np.stack([np.stack(np.gradient(r)[::-1]) for r in rays])
-    gain = optics.exposure / (1 + optics.vignetting * (rays**2).sum(axis=0)) ** 2
+    fall = (rays**2).sum(axis=0)
+    if camera.projection != "perspective":
+        # Wide lenses are built not to darken like a pinhole: by the angle, not its tangent.
+        fall = np.arctan(np.sqrt(fall)) ** 2
+    gain = optics.exposure / (1 + optics.vignetting * fall) ** 2
     single = np.float32
     return Imager(camera, optics, rays.astype(single), slopes.astype(single), gain.astype(single))
 

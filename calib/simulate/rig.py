@@ -33,6 +33,9 @@ BASELINE_RANGE_MM = (60.0, 400.0)
 ZERO_ERROR_STD_RAD = float(np.deg2rad(1.0))
 """Spread of the encoder's zero error: a yaw axis set by eye. The model's prior of it is flat."""
 
+NARROWEST_FIELD_DEG, WIDEST_FIELD_DEG = 60.0, 165.0
+"""Of a wide lens, along the diagonal: beyond, a corner of the imager may look sideways or back."""
+
 FIELD_OF_VIEW_DEG = (45.0, 62.0)
 """Horizontal; lenses of 4 to 6 mm on a 1/3'' imager."""
 
@@ -271,6 +274,28 @@ def draw_camera(rng: np.random.Generator, *, image_size: tuple[int, int]) -> Cam
     k3 = rng.normal(0, 0.002) / corner**6
     p1, p2 = rng.normal(0, 3e-4, 2)
     return Camera(matrix, np.array([k1, k2, p1, p2, k3]), image_size)
+
+
+def draw_wide_camera(
+    rng: np.random.Generator, *, field_deg: float, image_size: tuple[int, int]
+) -> Camera:
+    """Draw a camera with an equidistant lens.
+
+    Parameters
+    ----------
+    field_deg
+        Full field of view along the image's diagonal, deg, below `WIDEST_FIELD_DEG`.
+    """
+    half = np.deg2rad(field_deg) / 2
+    # Coefficients move the rim by up to 5 % and leave the field as it was asked for.
+    k1, k2, k3, k4 = rng.uniform(-1, 1, 4) * (0.03, 0.01, 0.005, 0.002) / half ** np.arange(2, 9, 2)
+    rim = 1 + k1 * half**2 + k2 * half**4 + k3 * half**6 + k4 * half**8
+    focal = np.hypot(*image_size) / 2 / (half * rim)
+    matrix = np.eye(3)
+    matrix[0, 0], matrix[1, 1] = focal * (1 + rng.normal(0, 0.001, 2))
+    width, height = image_size
+    matrix[:2, 2] = rng.normal([(width - 1) / 2, (height - 1) / 2], 0.003 * width)
+    return Camera(matrix, np.array([k1, k2, k3, k4]), image_size, "equidistant")
 
 
 def _draw_parameters(rng: np.random.Generator, model: str) -> dict[str, float]:

@@ -16,9 +16,15 @@ import numpy as np
 from calib.core.arrays import BoolArray, FloatArray
 from calib.core.errors import UsageError
 from calib.geometry.board import Board
-from calib.geometry.camera import Camera, project, radius_limit
+from calib.geometry.camera import Camera, normalise, project, radius_limit
 from calib.geometry.plane import gaze_at
 from calib.simulate.rig import Rig, c2_pose
+
+WIDE_USED = 0.7
+"""Share of a wide lens's picture in which targets stand: C2 does not turn to the rest."""
+
+LEGIBLE_PX = 6.0
+"""Side of a square below which a board by a wide lens is not found for sure."""
 
 EDGE_PX = 12.0
 """Squares keep this far from the image's edge; detectors want some white around them."""
@@ -107,7 +113,9 @@ class Placement:
 
 def fitting_board(rig: Rig, *, near_mm: float, columns: int = 9, rows: int = 7) -> Board:
     """Return a chessboard that fills a good part of C1's image at the nearest depth, mm."""
-    width = near_mm * rig.c1.image_size[0] / float(rig.c1.matrix[0, 0])
+    # Of a wide C1 the board must still fit into C2's picture.
+    camera = rig.c1 if rig.c1.projection == "perspective" else rig.c2
+    width = near_mm * camera.image_size[0] / float(camera.matrix[0, 0])
     square = max(5.0, float(np.round(NEAR_FILL * width / (columns + 1))))
     return Board("chessboard", columns, rows, square, (columns // 2, rows // 2))
 
@@ -187,10 +195,23 @@ def _intrinsic_candidate(
     focal, centre = np.diag(camera.matrix)[:2], camera.matrix[:2, 2]
     span = board.square_mm * (board.columns + 1)
     depth = focal[0] * span / (rng.uniform(0.35, 0.8) * size[0])
-    ray = (rng.uniform([0, 0], size) - centre) / focal
+    pixel = rng.uniform([0, 0], size)
     turn = _turn(rng, tilt_deg=tilt_deg, roll_std_deg=12.0)
     middle = board.square_mm * np.array([board.columns - 1, board.rows - 1, 0]) / 2
+    if camera.projection != "perspective":
+        ray = np.array([*normalise(camera, pixel[None])[0], 1.0])
+        ray /= np.linalg.norm(ray)  # far off the axis a board is seen where it faces the camera
+        return _placed(_facing(ray) @ turn, at=depth * ray, point=middle)
+    ray = (pixel - centre) / focal
     return _placed(turn, at=depth * np.array([*ray, 1.0]), point=middle)
+
+
+def _facing(ray: FloatArray) -> FloatArray:
+    """Return the rotation about an axis in the image that takes Z to a unit ray, shape (3, 3)."""
+    x, y, z = ray
+    across = float(np.hypot(x, y))
+    angle = np.arctan2(across, z)
+    return rotation(angle / max(across, 1e-12) * np.array([-y, x, 0.0]))
 
 
 def _turn(
@@ -302,14 +323,20 @@ def _gaze_pose(
     def draw() -> FloatArray:
         z = rng.uniform(*slice_mm)
         pixel = rng.uniform([0, 0], np.array(rig.c1.image_size, dtype=float))
-        ray = (pixel - rig.c1.matrix[:2, 2]) / np.diag(rig.c1.matrix)[:2]
+        centre = rig.c1.matrix[:2, 2]
+        if rig.c1.projection == "perspective":
+            ray = (pixel - centre) / np.diag(rig.c1.matrix)[:2]
+        else:
+            ray = normalise(rig.c1, centre + WIDE_USED * (pixel - centre)[None])[0]
         turn = _turn(rng, tilt_deg=GAZE_TILT_DEG, roll_std_deg=5.0)
         corner = board.object_points()[board.target_index]
         return _placed(turn, at=z * np.array([*ray, 1.0]), point=corner)
 
     low, high = rig.yaw_range_rad
     for pose in _tried(draw):
-        if not whole_board_seen(rig.c1, board, pose[None])[0]:
+        if not (
+            whole_board_seen(rig.c1, board, pose[None])[0] and _is_legible(rig.c1, board, pose)
+        ):
             continue
         reading = float(gaze_at(rig.theta, target_in_c1(board, pose[None])).alpha2[0])
         readings = np.array([reading] if held is None else [reading, held])
@@ -321,6 +348,16 @@ def _gaze_pose(
         f"({board.square_mm:g} mm squares) to both cameras; ask for smaller squares, larger depths "
         "or a shorter baseline"
     )
+
+
+def _is_legible(camera: Camera, board: Board, pose: FloatArray) -> bool:
+    """Return whether squares are large enough to be found; those of a pinhole always are."""
+    if camera.projection == "perspective":
+        return True
+    corners = project(camera, board.object_points() @ pose[:3, :3].T + pose[:3, 3])
+    grid = corners.reshape(board.rows, board.columns, 2)
+    sides = (np.linalg.norm(np.diff(grid, axis=axis), axis=-1).min() for axis in (0, 1))
+    return bool(min(sides) >= LEGIBLE_PX)
 
 
 def draw_sweep(

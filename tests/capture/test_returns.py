@@ -13,6 +13,8 @@ import tomllib
 import numpy as np
 import pytest
 
+from calib.capture.returns import first_row
+from calib.capture.writer import growing
 from calib.checks.returns import returns_gates
 from calib.cli.main import main
 from calib.dataset.load import load_dataset
@@ -105,3 +107,20 @@ def test_captures_without_returns_have_no_gate(lab):
     (lab / "rig.toml").write_text(RIG)
     assert main(["capture", "gaze", "mine", "--rig", "rig.toml", "--count", "1"]) == 0
     assert returns_gates(load_dataset(lab / "mine", rows_to_come=True)) == ()
+
+
+def test_returns_are_to_the_first_row_of_the_same_target(tmp_path):
+    """Property: another target stands elsewhere, and a damaged journal gives no row."""
+    where = {
+        "depth_mm": 1500.0, "standstill": {"reading_deg": 80.0}, "pixel_c1": [1.0, 2.0],
+        "pixel_c2": [3.0, 4.0], "u_c1_px": 0.02, "u_c2_px": 0.02,
+    }  # fmt: skip
+    with growing(tmp_path / "mine") as folder:
+        folder.note("start", target="board")
+        folder.note("row", id="g01", **where | {"standstill": "spoilt"})
+        folder.note("row", id="g02", **where)
+        folder.note("start", target="cross")
+        folder.note("row", id="g03", **where)
+        assert first_row(folder, target="board").name == "g02"
+        assert first_row(folder, target="cross").name == "g03"
+        assert first_row(folder, target="blob") is None

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import example
 import numpy as np
 import pytest
 from numpy.random import SeedSequence
 
+from calib.certificate.annexes import COLUMNS, _correlations
 from calib.dataset.tables import LengthTable
 from calib.geometry.camera import Camera
+from calib.geometry.parameters import PARAMETERS
 from calib.geometry.plane import gaze_at
 from calib.instrument.calibrated import CalibratedInstrument
 from calib.instrument.evidence import gather_evidence
@@ -18,6 +22,7 @@ from calib.rows.from_table import CameraSet, RowSettings, Setup, ValidationRows
 from calib.rows.observations import Observations
 from calib.stages.serialise import deserialise, serialise
 from calib.uncertainty.evidence import Evidence
+from calib.uncertainty.format import SHOWN
 from calib.uncertainty.measurement import Instrument, ParameterKnowledge, SharedErrors
 from calib.uncertainty.predictive import DepthPrediction
 
@@ -210,3 +215,29 @@ def test_a_depth_without_upper_limit_is_reported_not_raised() -> None:
     assert "no end" in found.not_certified[-1].reason
     assert found.checks == ()
     assert found.length_limit is None
+
+
+def test_a_covariance_of_many_parameters_stands_whole_in_tables_that_a_page_holds() -> None:
+    """Property: an adjustment frees eleven parameters, and their row is wider than a page."""
+    plain = example.inputs(posterior=False)
+    free = [i for i, entry in enumerate(PARAMETERS) if entry.name != "reference_offset_mm"][:11]
+    rng = np.random.default_rng(5)
+    root = np.diag(rng.uniform(1e-4, 1e-1, 11)) @ (np.eye(11) + 0.1 * rng.normal(size=(11, 11)))
+    known = ParameterKnowledge(
+        names=tuple(PARAMETERS[i].name for i in free),
+        values=rng.normal(size=11),
+        covariance=root @ root.T,
+        degrees_of_freedom=None,
+        evaluation=("A",) * 11,
+    )
+    summary = plain.calibration
+    rig = replace(summary.instrument, parameters=known)
+    annex = _correlations(replace(summary, instrument=rig, identified_by=("data",) * 11))
+    parts = [table for table in annex.tables if table.title.startswith("Covariance")]
+    assert all(len(table.columns) <= 1 + COLUMNS for table in parts)
+    shown = [sum((table.rows[i][1:] for table in parts), ()) for i in range(11)]
+    assert [len(row) for row in shown] == [11] * 11
+    scales = np.array([SHOWN[PARAMETERS[i].unit].factor for i in free])
+    np.testing.assert_allclose(
+        np.array(shown, float), known.covariance * np.outer(scales, scales), rtol=1e-6
+    )

@@ -224,6 +224,7 @@ cam0:
     ("old", "new", "said"),
     [
         ("radtan", "fov", "is not one of"),
+        ("  distortion_model: radtan\n", "", "'cam0' has no 'distortion_model'"),
         ("pinhole", "omni", "camera_model 'omni' is not one of pinhole"),
         ("[800.0, ", "[0.5, 800.0, ", "'intrinsics' has not four numbers"),
         ("[640, 480]", "[640]", "image size"),

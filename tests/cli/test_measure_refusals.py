@@ -17,7 +17,10 @@ from given_calibration import VALUES, calibration, rows_of
 
 BAD_TABLES = {
     "no coordinate": ("id,alpha2_deg\na,89\n", ["x1c"]),
-    "not UTF-8": ("id,x1c,y1c,alpha2_deg\n\xe9,0,0,89\n".encode("latin-1"), ["t.csv", "UTF-8"]),
+    "not UTF-8": ("id,x1c,y1c,alpha2_deg\na,0,0,89\n".encode("utf-16"), ["t.csv", "UTF-8"]),
+    "a picture": (b"\x89PNG\r\n\x1a\n\0\0", ["t.csv", "UTF-8"]),
+    "open header": ('id,x1c,y1c,"alpha2_deg\na,0,0,89\n', ["t.csv, line 1", "quotation mark"]),
+    "endless header": ("id,x1c,y1c,alpha2_deg" + 300_000 * ",", ["t.csv, line 1", "longer than"]),
     "a folder": ("folder", ["t.csv", "cannot be read"]),
 }
 
@@ -83,6 +86,38 @@ def test_one_bad_row_spoils_no_other(
     assert measured == alone
     assert "line 2 (id " in ended.err
     assert said in ended.err
+
+
+SPOILT = {
+    "quotation mark not closed": (b'bad,"0.05,0.1,87', "quotation mark"),
+    "quotation mark within": (b'bad,"0.05"x,0.1,87', "quotation mark"),
+    "other encoding": (b"bad\xe9,0.05,0.1,87", "UTF-8"),
+    "NUL": (b"bad,0.05,\0,87", "UTF-8"),
+    "endless cell": (b"bad,0.05," + 250_000 * b"1" + b",87", "longer than 100,000 characters"),
+    "endless id": (3_000_000 * b"bad", "longer than 100,000 characters"),
+    "empty": (b",,,", "is empty"),
+}
+
+
+@pytest.mark.parametrize(("bad", "said"), SPOILT.values(), ids=SPOILT)
+def test_a_spoilt_line_is_one_row(
+    bad: bytes, said: str, file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Negative control: these ended the table, with no row measured."""
+    table = file.parent / "t.csv"
+    head, good = b"id,x1c,y1c,alpha2_deg\n", b'"5"" plate",0.05,0.1,87\n'
+    table.write_bytes(head + good)
+    (alone,) = rows_of(call(capsys, "measure", file, table).out).values()
+    # What a spreadsheet leaves at the end is no row.
+    table.write_bytes(head + good + bad + b"\n" + good + b",,,\n\n,,,")
+    ended = call(capsys, "measure", file, table)
+    assert ended.status == 3
+    first, refused, last = csv.DictReader(io.StringIO(ended.out))
+    assert first == last == alone
+    assert said in refused["status"]
+    assert refused["z_mm"] == ""
+    assert bad.startswith(b",") or refused["id"].startswith("bad")
+    assert len(ended.err) < 400, "no message repeats an endless id"
 
 
 def test_length_to_nowhere(file: Path, capsys: pytest.CaptureFixture[str]) -> None:

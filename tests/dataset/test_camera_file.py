@@ -172,6 +172,7 @@ YAML_FAULTS = {
         "fisheye_model: 1\ndistortion_model: plumb_bob\nimage_width",
         "names two lens models: fisheye_model 1 and distortion_model",
     ),
+    "omnidirectional": ("image_width", "xi: 1.2\nimage_width", "has 'xi', of an omnidirectional"),
     "a key twice": ("image_width: 400", "image_width: 400\nimage_width: 500", "twice"),
     "a key of a matrix twice": ("rows: 3", "rows: 3\n   rows: 3", "twice"),
     "itself": ("image_width: 400", "a: &a 400\nimage_width: *a", "refers to itself"),

@@ -69,7 +69,13 @@ def test_nothing_is_named_on_a_clean_rig(seed: int, outliers: float, tmp_path: P
 
 @pytest.mark.parametrize(
     ("fault", "size"),
-    [("reading-step", 0.2), ("reading-drift", -0.3), ("rehomed", 0.2), ("c1-focal-length", 4.0)],
+    [
+        ("reading-step", 0.2),
+        ("reading-drift", -0.3),
+        ("rehomed", 0.2),
+        ("c1-focal-length", 4.0),
+        ("c1-distortion-left-in", -0.3),
+    ],
 )
 def test_its_size_is_found(fault: str, size: float, tmp_path: Path) -> None:
     hypothesis = HYPOTHESES[fault]

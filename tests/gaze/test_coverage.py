@@ -36,6 +36,11 @@ KINDS = {
     ),
 }  # fmt: skip
 
+MOST = {"counts": 1.0}
+"""Microsteps err as a sine, never beyond its amplitude of 1.4 standard uncertainties: 1.96 of
+them, as of a normal error, hold it nearly always. Too long, which does no harm; an interval that
+counts on the sine would be too short for a motor whose errors are no sine."""
+
 
 def study(seed, axis, virtual, *, opened=virtual_rig):
     """Return the scores (z - truth) / u of one rig, whether the intervals hold, and median u/z."""
@@ -94,9 +99,9 @@ def test_intervals_hold(kind, record_property):
     record_property("share", share)
     record_property("rms", rms(scores))
     assert len(held) > 0.9 * RIGS * GAZES
-    # Of 1,000 intervals that hold 95 % the share has a binomial standard deviation of 0.7 %, and
-    # over rigs, whose ten share one zero, not more: 93 and 97 % are 2.9 of them away.
-    assert 0.93 <= share <= 0.97, share
+    # Of 1,000 intervals that hold 95 % the share has a binomial standard deviation of 0.7 %, over
+    # rigs, whose ten share one zero, up to 0.8: 93 and 97 % are 2.6 of them away at least.
+    assert 0.93 <= share <= MOST.get(kind, 0.97), share
     assert np.abs(scores).max() < 5
 
 

@@ -2,26 +2,29 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from calib.core.arrays import FloatArray
 from calib.geometry.board import Board, Corners
-from calib.geometry.camera import camera_from_vector, intrinsic_vector
+from calib.geometry.camera import intrinsic_vector, with_intrinsics
 from calib.geometry.parameters import PARAMETERS, EncoderTerm
 from calib.images.adjustment.gather import Rows, Swept, Taken
 from calib.images.bundle import deformed
 from calib.images.stereo.solve import CameraPair
 from calib.simulate.contents import SimulationOptions, Table
-from calib.simulate.rig import Rig, draw_rig, mirror_rig
+from calib.simulate.rig import Rig, draw_rig, draw_wide_camera, mirror_rig
 from calib.simulate.scene import IntrinsicViews, SweepPlan, fitting_board
 from calib.simulate.session import draw_image_session
 from tests.images import board_scenes as scenes
 
 LENS_STD = np.array([2.0, 2.0, 2.0, 2.0, 0.01, 0.02, 1e-3, 1e-3, 0.01])
 """How far off the lens stage may leave the intrinsics."""
+
+WIDE_STD = np.array([2.0, 2.0, 2.0, 2.0, 1e-3, 1e-3, 1e-3, 1e-3])
+"""The same of an equidistant lens."""
 
 
 @dataclass(frozen=True)
@@ -36,6 +39,7 @@ class Layout:
     free: tuple[bool, bool] = (True, True)
     is_left: bool = False
     u_given: float = 0.0
+    c1_field_deg: float | None = None
 
 
 @dataclass(frozen=True)
@@ -64,22 +68,27 @@ class Pictured:
         cameras, covariances = [], []
         for camera, is_free in zip((self.rig.c1, self.rig.c2), free, strict=True):
             size = u_given * camera.matrix[0, 0]
-            std = LENS_STD if is_free else np.r_[size * np.ones(4), np.zeros(5)]
-            by_focal = np.zeros((9, 9))
+            usual = LENS_STD if camera.projection == "perspective" else WIDE_STD
+            count = len(usual)
+            std = usual if is_free else np.r_[size * np.ones(4), np.zeros(count - 4)]
+            by_focal = np.zeros((count, count))
             by_focal[:2, :2] = size**2
-            own = np.zeros((9, 9)) if is_free else np.diag([0, 0, *std[2:] ** 2]) + by_focal
-            error = std * rng.standard_normal(9)
+            known = np.diag([0, 0, *std[2:] ** 2]) + by_focal
+            own = np.zeros((count, count)) if is_free else known
+            error = std * rng.standard_normal(count)
             if not is_free:
                 error[1] = error[0]
             drawn = intrinsic_vector(camera) + error
-            cameras.append(camera_from_vector(drawn, camera.image_size))
+            cameras.append(with_intrinsics(camera, drawn))
             covariances.append(own)
         return CameraPair(
             (cameras[0], cameras[1]), (covariances[0], covariances[1]), self.rig.is_left, free
         )
 
 
-def everything(rng: np.random.Generator, *, is_left: bool = False) -> Rig:
+def everything(
+    rng: np.random.Generator, *, is_left: bool = False, c1_field_deg: float | None = None
+) -> Rig:
     """A rig with all errors that the model has, the encoder's drawn from their priors."""
     encoder = {
         p.name: float(rng.normal(0, p.prior_std))
@@ -87,6 +96,9 @@ def everything(rng: np.random.Generator, *, is_left: bool = False) -> Rig:
         if isinstance(p.effect, EncoderTerm) and p.prior_std
     }
     rig = draw_rig(rng, model="axis-tilt", fixed=encoder)
+    if c1_field_deg is not None:
+        c1 = draw_wide_camera(rng, field_deg=c1_field_deg, image_size=rig.c1.image_size)
+        rig = replace(rig, c1=c1)
     return mirror_rig(rig) if is_left else rig
 
 

@@ -140,6 +140,7 @@ LAYOUTS = {
     "no pairs, no sweep": Layout(rows=14, placements=0, pairs=False),
     "given lenses": Layout(free=(False, False)),
     "uncertain lenses": Layout(free=(False, False), u_given=1e-3),
+    "wide lens of C1": Layout(c1_field_deg=150.0),
 }
 
 
@@ -147,7 +148,7 @@ LAYOUTS = {
 def test_parameters_within_their_covariance(layout: Layout) -> None:
     """Simulated truth: all parameters together, at a chance of 1e-4 to fail."""
     rng = np.random.default_rng(3)
-    rig = everything(rng, is_left=layout.is_left)
+    rig = everything(rng, is_left=layout.is_left, c1_field_deg=layout.c1_field_deg)
     found = adjusted(rng, session(rng, rig, layout), layout=layout)
     assert [gate for gate in found.gates if not gate.passed] == []
     model = found.complete
@@ -250,14 +251,18 @@ RIGS = 25
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "layout",
-    [Layout(lens=10), Layout(rows=14, lens=10, placements=0, pairs=False)],
-    ids=["everything", "no pairs, no sweep"],
+    [
+        Layout(lens=10),
+        Layout(rows=14, lens=10, placements=0, pairs=False),
+        Layout(lens=10, c1_field_deg=150.0),
+    ],
+    ids=["everything", "no pairs, no sweep", "wide lens of C1"],
 )
 def test_uncertainties_hold_over_many_rigs(layout: Layout) -> None:
     """Coverage: pulls of all parameters over 25 rigs have a root mean square of 0.85 to 1.15."""
     found = []
     for seed in range(RIGS):
         rng = np.random.default_rng([11, seed])
-        rig = everything(rng)
+        rig = everything(rng, c1_field_deg=layout.c1_field_deg)
         found.append(pulls(adjusted(rng, session(rng, rig, layout)).complete, rig))
     assert 0.85 < np.sqrt(np.mean(np.square(found))) < 1.15

@@ -16,6 +16,7 @@ from calib.images.intrinsics.backends import from_better, is_wide
 from calib.images.intrinsics.by_opencv import fit_opencv
 from calib.images.intrinsics.by_views import Views, equidistant_start, fit_views
 from calib.images.intrinsics.calibrate import Intrinsics, calibrate_intrinsics
+from calib.images.intrinsics.gates import intrinsics_warnings
 from calib.images.intrinsics.lenses import PERSPECTIVE
 from calib.images.intrinsics.remarks import better, other_fits_better
 from calib.images.intrinsics.validate import cross_validate
@@ -70,6 +71,20 @@ def test_opencvs_fisheye_finds_the_same(whole: Intrinsics) -> None:
     assert whole.differences[1].second == "mrcal splined"
     assert whole.differences[1].rms_px < 3.0
     assert set(whole.model_files) <= set(PERSPECTIVE)
+
+
+def test_a_spline_that_fits_worse_says_nothing_of_the_lens(whole: Intrinsics) -> None:
+    far = replace(whole.differences[1], ratio=9.0)
+    said = [
+        list(
+            intrinsics_warnings(
+                "c1", whole.gates, dispersion=1.0, splined=far, fits_better=fits_better
+            )
+        )
+        for fits_better in (True, False)
+    ]
+    assert "the lens has more shape than its model" in said[0][0]
+    assert said[1] == []
 
 
 def test_lens_that_rejects_the_rim_predicts_no_better(found: Corners) -> None:

@@ -146,12 +146,48 @@ def test_depth_of_another(file: Path) -> None:
         ({"x1c": [[0.1]], "y1c": [[0.1]]}, "of one length"),
         ({"x1c": ["a"], "y1c": [0.1]}, "not all readings are numbers"),
         ({"x1c": [0.1], "y1c": [0.1], "depth_of": [1]}, "places go from 0 to 0"),
-        ({"x1c": [0.1], "y1c": [0.1], "model": "base"}, "base"),
+        ({"x1c": [0.1], "y1c": [0.1], "depth_of": [-1]}, "places go from 0 to 0"),
+        ({"x1c": [0.1], "y1c": [0.1], "depth_of": [0.0]}, "places go from 0 to 0"),
+        ({"x1c": [0.1], "y1c": [0.1], "model": "base"}, "^model base: no one model"),
     ],
 )
 def test_wrong_arguments(given: dict[str, Any], said: str, file: Path) -> None:
     with pytest.raises(calib.UsageError, match=said):
         calib.load(file).measure(alpha2_deg=[88.0], **given)
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), -float("inf"), 1e308, -1e300])
+@pytest.mark.parametrize("name", ["x1c", "y1c", "u1_px", "v1_px", "alpha2_deg", "u2_px"])
+def test_a_value_that_is_none_spoils_its_own_reading_alone(
+    name: str, value: float, file: Path
+) -> None:
+    """Negative control: a missing y1c passed for 0 mm with its uncertainty, u2_px for gazed at."""
+    by_pixel = {"u1_px": [350.0, 300.0], "v1_px": [240.0, 230.0]}
+    given: dict[str, list[float]] = {"x1c": [0.1, 0.05], "y1c": [0.1, 0.0]}
+    given = by_pixel if name in ("u1_px", "v1_px") else given
+    given = given | {"alpha2_deg": [87.0, 87.0]}
+    given = given | ({"u2_px": [320.0, 320.0]} if name == "u2_px" else {})
+    rig = calib.load(file)
+    sound = rig.measure(**given)
+    for model in ("selected", "average"):
+        if model == "average" and not rig.measuring.shares:
+            continue
+        points = rig.measure(**(given | {name: [value, given[name][1]]}), model=model)
+        assert points.valid.tolist() == [False, bool(sound.valid[1])]
+        assert points.status[1] == sound.status[1]
+        assert name in points.status[0]
+        assert np.isnan(points.covariance_mm2[0]).all()
+        assert np.isnan(points.length(0, 1)).all()
+
+
+def test_what_it_says_of_itself_is_one_line(file: Path) -> None:
+    rig = calib.load(file)
+    points = rig.measure(x1c=[0.05, np.nan], y1c=0.1, alpha2_deg=87)
+    assert repr(rig).startswith("Rig(calibrated from ")
+    assert max(len(repr(rig)), len(repr(points))) < 200
+    assert repr(points).endswith("1 not measured)")
+    with pytest.raises(IndexError, match="no points 0 and 2 among 2"):
+        points.length(0, 2)
 
 
 @pytest.mark.parametrize("degrees", [0.0, 180.0, -5.0, float("nan"), float("inf"), 400.0])

@@ -44,6 +44,7 @@ def page_of(browser):
         page = context.new_page()
         page.set_default_timeout(LONG_MS)
         page.on("request", lambda request: outside.append(request.url))
+        page.on("websocket", lambda socket: outside.append(socket.url))
         page.on("pageerror", lambda error: faults.append(str(error)))
         page.goto(url)
         page.wait_for_selector("body[data-ready]")
@@ -75,7 +76,7 @@ def served(server):
     server.session._bench.hand("board").place("here")
     yield server
     server.session.stop()
-    server.idle(seconds=30)
+    server.idle()
 
 
 def at_rest(server):
@@ -142,7 +143,7 @@ def test_a_click_that_is_doubled_is_one(served, page_of):
     state = served.turning()
     assert state["waiting"] == []
     page.click("#stop")
-    served.idle(seconds=10)
+    served.idle()
     page.wait_for_selector("#check:enabled")
 
 
@@ -151,7 +152,7 @@ def test_stop_in_the_middle_of_a_move(served, page_of):
     page.click("#check")
     served.turning()
     page.click("#stop")
-    state = served.idle(seconds=10)
+    state = served.idle()
     at_rest(served)
     assert "stopped" in state["log"][-1]["text"]
     page.wait_for_selector('body[data-job=""]')
@@ -160,7 +161,7 @@ def test_stop_in_the_middle_of_a_move(served, page_of):
     page.keyboard.press("Enter")
     served.turning()
     page.keyboard.press("Escape")
-    served.idle(seconds=10)
+    served.idle()
     at_rest(served)
 
 
@@ -178,7 +179,7 @@ def test_of_two_pages_one_has_the_motor_and_both_may_stop(served, page_of):
     owner.click("#check")
     served.turning()
     other.click("#stop")
-    served.idle(seconds=10)
+    served.idle()
     at_rest(served)
     owner.close()
     other.wait_for_selector("#take:not([hidden])")
@@ -192,14 +193,14 @@ def test_a_page_closed_or_reloaded_in_a_move_stops_the_motor(served, page_of):
     page.click("#check")
     served.turning()
     page.reload()
-    served.idle(seconds=10)
+    served.idle()
     at_rest(served)
     page.wait_for_selector("#role.owner")
     assert page.inner_text("#log").count("stopped") >= 1
     page.click("#check")
     served.turning()
     page.close()
-    served.idle(seconds=10)
+    served.idle()
     at_rest(served)
 
 
@@ -211,7 +212,7 @@ def test_a_watcher_that_leaves_stops_nothing(served, page_of):
     time.sleep(0.5)
     assert served.record.get("job") is not None
     page.click("#stop")
-    served.idle(seconds=10)
+    served.idle()
 
 
 class Foreign(http.server.BaseHTTPRequestHandler):

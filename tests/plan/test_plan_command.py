@@ -88,7 +88,7 @@ def test_rows_all_on_one_side_of_the_axis_can_be_planned_for(
     (tmp_path / "gaze.csv").write_text("id,x1c,y1c,alpha2_deg,z_mm\n" + rows)
     (tmp_path / "dataset.toml").write_text(
         'format = 1\nname = "low"\n[encoder]\nresolution_deg = 0.05625\n'
-        '[gaze]\ntable = "gaze.csv"\nu_x1c = 0.0002\nu_z_rel = 0.002\n'
+        '[gaze]\ntable = "gaze.csv"\nu_x1c = 0.003\nu_z_rel = 0.002\n'
     )
     assert plan(str(tmp_path), "--depth", "800", "--rows", "2") == 0
     said = capsys.readouterr().out

@@ -39,7 +39,7 @@ def report(diagnosis: Diagnosis) -> str:
 
 def test_a_cause_is_said_with_remedy_and_effect() -> None:
     page = report(Diagnosis("base", (STEP,), (STEP,)))
-    assert "From row c13 on alpha2 reads 0.25 +- 0.012 deg more than before" in page
+    assert "From row c13 on alpha2 reads 0.250 +- 0.012 deg more than before" in page
     assert STEP.hypothesis.remedy in page
     assert "moves a depth by up to 7.2 of its u" in page
     assert "4.1 times what is stated without it, 0.92 times with it" in page
@@ -62,3 +62,20 @@ def test_the_picture_holds_both_residuals() -> None:
     assert drawing.data["id"] == STEP.ids
     np.testing.assert_array_equal(drawing.data["before_mrad"], BEFORE)
     np.testing.assert_array_equal(drawing.data["after_mrad"], AFTER)
+
+
+def test_a_cause_beside_the_first_is_said_with_its_remedy_and_drawn() -> None:
+    far = replace(
+        STEP, name="reference-bias-far", at="from 900 mm", estimate=3.0, std=0.4, gain=9.0,
+        beside="reading-step", ids=("c12", "c14"), residual_mrad=np.array([[0.3, 0.2], [0.1, 0.0]]),
+    )  # fmt: skip
+    diagnosis = Diagnosis("base", (STEP, far), (STEP,))
+    page = report(diagnosis)
+    assert "Beside reading-step, reference depths from 900 mm are 3.00 +- 0.40 % off" in page
+    assert far.hypothesis.remedy in page
+    assert "As well it may be" not in page
+    assert "Once that is allowed for, the rows show reference-bias-far as well" in page
+    words = diagnosis.words(STEP)
+    assert far.hypothesis.remedy in words
+    drawing = draw_cause(STEP, far)
+    np.testing.assert_array_equal(drawing.data["both_mrad"], [0.1, np.nan, 0.0])

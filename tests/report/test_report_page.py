@@ -181,6 +181,9 @@ def test_a_failed_check_is_said_first() -> None:
     notices = page.xpath("//section[@id='verdict']/div[contains(@class, 'notice')]")
     assert "bad" in notices[0].get("class")
     assert "Do not use" in notices[0].text_content()
+    (figures,) = page.xpath("//section[@id='verdict']//dl[contains(@class, 'tiles')]")
+    assert "void" in figures.get("class")
+    assert "not to be used" in figures.getprevious().text_content()
     assert "The chain did not converge: add rows." in notices[-1].text_content()
 
 

@@ -160,8 +160,16 @@ def test_cases_of_one_rig_are_one_witness() -> None:
     """Closed form: eight rigs with five like cases each err as eight cases do, not as forty."""
 
     def rig(number: int, *named: str) -> dict[str, object]:
-        case = {"fault": "backlash", "rows": 24, "effect": 5.0, "gain": 9.0, "named": list(named)}
-        return {"condition": MISTAKES, "number": number, "clean": {}, "mistakes": [case] * 5}
+        case = {"fault": "backlash", "rows": 24, "effect": 5.0, "gain": 9.0}
+        case |= {"named": list(named), "with_depths": None}
+        return {
+            "condition": MISTAKES,
+            "number": number,
+            "clean": {},
+            "clean_with_depths": [],
+            "mistakes": [case] * 5,
+            "pairs": [],
+        }
 
     names = [("backlash",), (), ("backlash",), ("backlash",), (), ("backlash",), ("backlash",), ()]
     made = [rig(i, *name) for i, name in enumerate(names)]

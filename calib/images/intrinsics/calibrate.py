@@ -279,7 +279,13 @@ def _assemble(
             *backend_warnings(camera, mrcal),
             *(f"{camera}: {said}" for said in (worse, *others_better) if said),
             *board_warning(camera, selected, corners, board),
-            *intrinsics_warnings(camera, gates, dispersion=dispersion, splined=splined),
+            *intrinsics_warnings(
+                camera,
+                gates,
+                dispersion=dispersion,
+                splined=splined,
+                fits_better=mrcal.splined_rms_px < selected.rms_px,
+            ),
         ),
         purposes={},
     )

@@ -11,7 +11,7 @@ from calib.report.figures.diagnosis import draw_cause
 from calib.report.numbers import signed
 from calib.report.plotting import picture
 from calib.results.calibration import Calibration
-from calib.uncertainty.format import significant
+from calib.uncertainty.format import significant, with_uncertainty
 
 
 def diagnosis(c: Calibration, _: ReportContext) -> Section | None:
@@ -23,20 +23,30 @@ def diagnosis(c: Calibration, _: ReportContext) -> Section | None:
     for cause in found.causes:
         blocks += _named(found, cause)
     if found.causes:
-        blocks.append(
-            picture(
-                "cause",
-                draw_cause(found.causes[0]),
-                f"Residuals of {_looked_at(found.causes[0])}, by {found.model} alone and with "
-                f"{found.causes[0].name} as a further parameter. With the right cause "
-                "they scatter about zero without order.",
-            )
-        )
+        blocks.append(_picture(found))
     if found.tried:
         blocks.append(_table(found))
     if found.structure:
         blocks.append(_structure(found))
     return Section("diagnosis", "What may have been done wrong", tuple(blocks))
+
+
+def _picture(found: Diagnosis) -> Block:
+    """Return the picture of residuals without and with the best cause, and one beside it."""
+    first = found.causes[0]
+    second = next((cause for cause in found.causes if cause.beside == first.name), None)
+    text = f"by {found.model} alone and with {first.name} as a further parameter"
+    if second is not None:
+        text = (
+            f"by {found.model} alone, with {first.name} as a further parameter, and with "
+            f"{second.name} beside it"
+        )
+    return picture(
+        "cause",
+        draw_cause(first, second),
+        f"Residuals of {_looked_at(first)}, {text}. With the right cause they scatter about zero "
+        "without order.",
+    )
 
 
 def _finding(found: Diagnosis) -> str:
@@ -45,14 +55,14 @@ def _finding(found: Diagnosis) -> str:
     count = len(found.tried)
     if not found.causes:
         return (
-            f"Of {count} mistakes that are often made none explains the rows decisively better "
+            f"Of {count} mistakes that are often made, none explains the rows decisively better "
             f"than the models do. Slips too small to matter, and those that a model follows, "
             "remain hidden."
         )
     first = found.causes[0]
     before, after = first.noise_scale
     text = (
-        f"Of {count} mistakes that are often made {first.name} explains {_looked_at(first)} best: "
+        f"Of {count} mistakes that are often made, {first.name} explains {_looked_at(first)} best: "
         f"residuals are {before:.2g} times what is stated without it, {after:.2g} times with it."
     )
     if found.others(first):
@@ -70,7 +80,7 @@ def _looked_at(cause: Cause) -> str:
 
 
 def _named(found: Diagnosis, cause: Cause) -> list[Block]:
-    matters = cause is found.left_out
+    matters = found.matters(cause)
     blocks: list[Block] = [
         Notice(
             "bad" if matters else "note", cause.name, f"{cause.text[:1].upper()}{cause.text[1:]}."
@@ -125,5 +135,5 @@ def _estimate(attempt: Attempt) -> str:
     if not attempt.std > 0:
         return ""
     unit = attempt.hypothesis.unit.replace("1", "")
-    value = signed(significant(attempt.estimate, digits=3))
-    return f"{value} ± {significant(attempt.std, digits=2)} {unit}".strip()
+    rounded = with_uncertainty(attempt.estimate, attempt.std)
+    return f"{signed(rounded.value)} ± {rounded.uncertainty} {unit}".strip()

@@ -48,9 +48,9 @@ def verdict(c: Calibration, context: ReportContext) -> Section:
     """Write the verdict."""
     blocks: list[Block] = [_banner(c, context), *_failures(c)]
     if c.gaze is not None:
-        blocks += _gaze(c.gaze, context)
+        blocks += _gaze(c.gaze, context, passed=c.passed)
     else:
-        blocks += _rig(c.images)
+        blocks += _rig(c.images, passed=c.passed)
     if c.disagreements or c.warnings:
         blocks += [
             Paragraph(Markup("<strong>To bear in mind</strong>")),
@@ -70,8 +70,8 @@ def _banner(c: Calibration, context: ReportContext) -> Notice:
         return Notice(
             "bad",
             f"{failed} of {len(c.gates)} checks failed",
-            "Do not use this calibration before they are mended. What follows is written down to "
-            "help with that.",
+            "Do not use this calibration before what they name is mended. What follows is there to "
+            "help with that, not to be used.",
         )
     if c.disagreements:
         told = "" if c.gaze is None else what_the_errors_do(c.gaze, context.validation_reference)
@@ -96,7 +96,7 @@ def _failures(c: Calibration) -> list[Block]:
     return [Notice("bad", f"Failed: {gate.name}", sentence(gate.detail)) for gate in failed]
 
 
-def _rig(images: ImageResult) -> list[Block]:
+def _rig(images: ImageResult, *, passed: bool) -> list[Block]:
     """Return the first figures of a dataset without gaze rows."""
     tiles: list[tuple[Text, Text, Text]] = []
     for name, found in sorted(images.intrinsics.items()):
@@ -111,16 +111,16 @@ def _rig(images: ImageResult) -> list[Block]:
     if images.stereo is not None:
         distance = plus_minus(images.stereo.baseline_mm, images.stereo.baseline_std_mm)
         tiles.append(("C1 to C2", f"{distance} mm", "distance of the optical centres"))
-    return [KeyFigures(tuple(tiles))] if tiles else []
+    return [KeyFigures(tuple(tiles), void=not passed)] if tiles else []
 
 
-def _gaze(gaze: GazeResult, context: ReportContext) -> list[Block]:
+def _gaze(gaze: GazeResult, context: ReportContext, *, passed: bool) -> list[Block]:
     if gaze.comparison is None:
         reasons = tuple(f"{name}: {reason}" for name, reason in gaze.refused.items())
         return [Notice("bad", "No model could be fitted"), Items(reasons)]
     tiles = [*_parameter_tiles(gaze), *_depth_tiles(gaze), *_validation_tiles(gaze, context)]
     return [
-        KeyFigures(tuple(tiles)),
+        KeyFigures(tuple(tiles), void=not passed),
         *_instrument(gaze),
         Paragraph(
             Markup("Selected model{}: <strong>{}</strong>. {}.").format(
@@ -269,8 +269,9 @@ def _outcome(stage: str, gates: Sequence[Gate]) -> Text:
     if not failed:
         count = "1 check" if len(gates) == 1 else f"all {len(gates)} checks"
         return Markup('<span class="good">✓</span> {}: {} passed').format(stage, count)
-    return Markup('<span class="caution">▲</span> {}: {} of {} checks failed ({})').format(
-        stage, len(failed), len(gates), ", ".join(failed)
+    how_many = "its check" if len(gates) == 1 else f"{len(failed)} of {len(gates)} checks"
+    return Markup('<span class="caution">▲</span> {}: {} failed ({})').format(
+        stage, how_many, ", ".join(failed)
     )
 
 

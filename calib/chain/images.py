@@ -1,4 +1,4 @@
-"""The image half of the chain: corners, intrinsics, stereo reference, yaw sweep, sightings."""
+"""The image half of the chain: corners, intrinsics, stereo reference, yaw sweep, observations."""
 
 from __future__ import annotations
 

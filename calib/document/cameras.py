@@ -51,7 +51,7 @@ class Lens(CameraMatrix):
     rejected_points: int | None = Field(None, description="corners left out as outliers")
     views: int | None = Field(None, description="pictures used")
     board_warp_mm: Vector | None = Field(
-        None, description="bow of the board along its x and y, mm, where the solve has it"
+        None, description="board deformation along its x and y, mm, where the solve has it"
     )
 
 

@@ -38,7 +38,7 @@ class CornerNoise:
         Standard deviation of a coordinate, px; None of a camera whose lens is given, so that the
         images of the rows alone show it.
     warp_mm
-        Bow of the board along x and y, where a solve told it.
+        Board deformation along x and y, where a solve told it.
     """
 
     c1_px: float | None = None

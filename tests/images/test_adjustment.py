@@ -141,7 +141,6 @@ LAYOUTS = {
     "given lenses": Layout(free=(False, False)),
     "uncertain lenses": Layout(free=(False, False), u_given=1e-3),
     "wide lens of C1": Layout(c1_field_deg=150.0),
-    "wide lens given": Layout(free=(False, True), u_given=1e-3, c1_field_deg=150.0),
 }
 
 

@@ -56,7 +56,7 @@ class AdjustedModel:
     reading_rad
         At which C2 was held for the pairs; 90 deg without.
     board_warp_mm
-        Bow of the board along x and y, mm.
+        Board deformation along x and y, mm.
     factors
         On the variances of the intrinsics of C1, of C2 and of the rig: see `solve.Solution`.
     misfit, freedom

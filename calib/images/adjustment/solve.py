@@ -91,7 +91,7 @@ class Solution:
 
     @property
     def board_warp_mm(self) -> tuple[float, float]:
-        """Bow of the board along x and y, mm."""
+        """Board deformation along x and y, mm."""
         a, b = (float(v) for v in self.reduced.at.shared[self.problem.at_bow])
         return a, b
 

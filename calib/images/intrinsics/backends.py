@@ -44,7 +44,7 @@ class Backends:
     flat
         OpenCV's, to the board as drawn.
     bowed
-        Those that solve the bow of the board too: mrcal's, and of a wide lens this program's own.
+        Those that solve the board deformation too: mrcal's, and of a wide lens this program's own.
     checked
         OpenCV's, to `points`.
     points

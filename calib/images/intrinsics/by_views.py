@@ -1,6 +1,6 @@
 """Intrinsics of one camera by this program's own least squares, poses of the views eliminated.
 
-For lens models that mrcal lacks. Unknowns are the intrinsics, the bow of the board along x and y
+For lens models that mrcal lacks. Unknowns are the intrinsics, the board deformation along x and y
 where it is free, and the pose of each view; derivatives are analytic, steps those of Levenberg and
 Marquardt (`calib.images.joint.reduced`).
 """
@@ -54,7 +54,7 @@ class Views:
     used
         Which of them count, shape (views, corners).
     bow
-        Whether the bow of the board is an unknown.
+        Whether the board deformation is an unknown.
     """
 
     camera: Camera

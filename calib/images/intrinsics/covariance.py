@@ -21,7 +21,7 @@ class ViewScores:
     """The least-squares problem of the intrinsics, view by view, poses eliminated.
 
     With A, B the derivatives of a view's pixels by intrinsics and pose, A* is what of A no pose can
-    imitate, A - B (B'B)^-1 B'A (Schur's complement). Where the bow of the board was solved too, its
+    imitate, A - B (B'B)^-1 B'A (Schur's complement). Where board deformation was solved too, its
     two unknowns follow the p intrinsics: n = p + 2, or p.
 
     Parameters
@@ -120,7 +120,7 @@ def view_scores(
     points
         Corners in the board's frame, mm, shape (corners, 3).
     bow
-        Whether the bow of the board was solved too.
+        Whether the board deformation was solved too.
     """
     used = seen(residuals)
     lens, extra = 4 + len(camera.distortion), 2 if bow else 0

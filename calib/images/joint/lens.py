@@ -36,7 +36,7 @@ class RefinedLens:
     poses
         Camera from board, rad and mm, shape (i, 6).
     board_warp_mm
-        Bow of the board along x and y, mm.
+        Board deformation along x and y, mm.
     """
 
     name: str

@@ -1,7 +1,7 @@
 """Board images of two cameras as one least-squares problem, with derivatives.
 
 Shared unknowns, in this order: intrinsics of C1 and of C2, each where it is not given; the pose of
-C2 in C1; the bow of the board along x and along y. Own unknowns of a view: the pose of the board,
+C2 in C1; the board deformation along x and along y. Own unknowns of a view: the pose of the board,
 in C1 where C1 sees it or both do, in C2 where C2 sees it alone.
 """
 

@@ -1,4 +1,4 @@
-"""Lenses of both cameras, pose of C2 and bow of the board from all board images together.
+"""Lenses of both cameras, pose of C2 and board deformation from all board images together.
 
 Corners of one camera and one kind of image (of lenses, pairs, rows) have one variance, estimated
 from their residuals; corners that stand out are left out, largest first, and the rest is solved
@@ -91,7 +91,7 @@ class JointSolve:
     pose_12
         Pose of C2 in C1, rad and mm, shape (6,).
     board_warp_mm
-        Bow of the board along x and y, mm.
+        Board deformation along x and y, mm.
     covariance
         Of the shared unknowns, with the factors and the board's errors, shape (n, n).
     factors

@@ -35,7 +35,7 @@ def solve_jointly(
     board: Board,
     rig: CameraPair,
 ) -> JointSolve:
-    """Solve lenses, pose of C2 and bow of the board from all images.
+    """Solve lenses, pose of C2 and board deformation from all images.
 
     Raises
     ------

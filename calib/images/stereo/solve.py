@@ -95,7 +95,7 @@ class StereoSolve:
     rejected
         Corners discarded as outliers.
     board_warp_mm
-        Bow of the board along x and y, mm, where the backend solves it; else None.
+        Board deformation along x and y, mm, where the backend solves it; else None.
     cameras
         C1 and C2 as held or solved.
     """

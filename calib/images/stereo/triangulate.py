@@ -135,7 +135,7 @@ def position_on_board(
     pixels
         Corners in C1, shape (n, corners, 2), NaN where not found.
     warp_mm
-        Bow of the board along x and y, mm, where it is known.
+        Board deformation along x and y, mm, where it is known.
     """
     shape = deformed(board.object_points(), warp_mm)
     target = shape[[board.target_index]]
@@ -183,7 +183,7 @@ def find_targets(
     sigma_px
         Standard deviation of a corner coordinate, px.
     warp_mm
-        Bow of the board along x and y, mm, where it is known.
+        Board deformation along x and y, mm, where it is known.
 
     Raises
     ------

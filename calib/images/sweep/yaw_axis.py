@@ -155,7 +155,7 @@ def yaw_sweep(
     pose_12
         Pose of C2 in C1, shape (6,), if known: where the axis crosses C1's plane Y = 0.
     warp_mm
-        Bow of the board along x and y, mm, where it is known.
+        Board deformation along x and y, mm, where it is known.
     priors
         (mean, standard deviation) of encoder terms, by name, in place of the defaults.
 

@@ -10,7 +10,10 @@ from calib.certificate.inputs import (
     Issue,
     Provenance,
 )
+from calib.dataset.manifest import Camera as Stated
 from calib.dataset.manifest import Certificate, Manifest, Rig
+from calib.geometry.camera import Camera
+from calib.geometry.lens import PROJECTIONS
 from calib.instrument.calibrated import EVALUATION, CalibratedInstrument
 from calib.results.calibration import Calibration, GazeResult
 from calib.results.effective_baseline import effective_baseline, effective_interval
@@ -105,7 +108,7 @@ def _summary(
         derived=()
         if derived is None
         else (Derived("L_b + e", "baseline seen at 90°", "mm", *derived, interval),),
-        intrinsics=_intrinsics(manifest),
+        intrinsics=lens_words(manifest.cameras.c1, calibrated.setup.cameras.c1),
     )
 
 
@@ -116,10 +119,13 @@ def _reference(manifest: Manifest) -> str | None:
     return manifest.gaze.reference
 
 
-def _intrinsics(manifest: Manifest) -> str | None:
-    c1 = manifest.cameras.c1
+def lens_words(c1: Stated | None, camera: Camera | None) -> str | None:
+    """Return where the intrinsics of C1 come from, in words, as the manifest and the lens say."""
     if c1 is None:
         return None
+    said = "taken from a finished model" if c1.model is not None else "given in the dataset"
     if c1.images is not None:
-        return "calibrated from images of the board in the dataset"
-    return "taken from a finished model" if c1.model is not None else "given in the dataset"
+        said = "calibrated from images of the board in the dataset"
+    if camera is None or camera.projection == "perspective":
+        return said
+    return f"{said}, lens model {PROJECTIONS[camera.projection].words}"

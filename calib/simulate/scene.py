@@ -23,7 +23,7 @@ from calib.simulate.rig import Rig, c2_pose
 WIDE_USED = 0.7
 """Share of a wide lens's picture in which targets stand: C2 does not turn to the rest."""
 
-LEGIBLE_PX = 10.0
+LEGIBLE_PX = 6.0
 """Side of a square below which a board by a wide lens is not found for sure."""
 
 EDGE_PX = 12.0

@@ -124,7 +124,7 @@ def test_a_labs_own_drivers_make_up_a_rig():
         assert frame.exposed_ns > standing.since_ns
         assert frame.serial == 2, "the picture left over is passed over"
         assert rig.axis.home().home == "9, 1"
-        device = rig.c2.device
+        device = rig.c2.camera.device
     assert not device.open
 
 

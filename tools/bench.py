@@ -27,6 +27,7 @@ import numpy as np
 from bench_calls import KINDS, measure_run
 from bench_history import DATASETS, batches, index_and_pages
 from bench_lenses import achieved
+from bench_start import beside_imports
 from numpy.random import SeedSequence
 
 from calib.capture.guidance.lens import LensGuide
@@ -215,6 +216,16 @@ def pipeline(folder: Path = PROJECT / "datasets" / "demo") -> list[Line]:
     return [*parts, *(Line(what, f"{r:.2f}", goal) for what, (r, goal) in ratios.items())]
 
 
+def start() -> list[Line]:
+    """Compare a run on the paper's six rows with the bare imports of its libraries."""
+    found = beside_imports(PROJECT / "datasets" / "xu-wang-2017", repeats=REPEATS)
+    return [
+        Line("run on the paper's six rows, CPU", f"{found.run:.1f} s", ""),
+        Line("bare imports of its libraries, CPU", f"{found.imports:.1f} s", ""),
+        Line("run over bare imports", f"{found.ratio:.1f}", "2.2"),
+    ]
+
+
 def lenses() -> list[Line]:
     """Compare the intrinsics of one camera with its peers, by time and by error."""
     lines = []
@@ -294,6 +305,7 @@ PARTS = {
     "detection": detection,
     "guidance": guidance,
     "lenses": lenses,
+    "start": start,
     "pipeline": pipeline,
     "history": history,
     "batch": batch,

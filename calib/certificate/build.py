@@ -236,7 +236,7 @@ def _cautions(inputs: CertificateInputs) -> tuple[str, ...]:
             "Tolerance / U is under 3 at some depths: there the statement of conformity depends "
             "on the uncertainty, and the risk of a wrong statement is high."
         )
-    return (*found, *(sentence(clean(w)) for w in inputs.warnings))
+    return (*found, *(sentence(clean(w)).replace("+-", "±") for w in inputs.warnings))
 
 
 def _unexplained(checks: Sequence[CheckedDepth]) -> str | None:

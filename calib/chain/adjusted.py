@@ -12,6 +12,7 @@ from calib.core.gate import Gate
 from calib.dataset.contents import Dataset
 from calib.dataset.tables import LengthTable
 from calib.fit.robust import RobustFit
+from calib.images.adjustment.gates import rig_gates
 from calib.images.adjustment.result import Adjustment
 from calib.instrument.adjusted import (
     ADJUSTMENT,
@@ -28,6 +29,7 @@ from calib.instrument.calibrated import CalibratedInstrument, tabulate_depths
 from calib.instrument.evidence import gather_evidence
 from calib.instrument.validation import measure_validation
 from calib.results.calibration import GazeResult
+from calib.rows.common_errors import Shared
 from calib.rows.from_table import Setup, ValidationRows, observe_validation
 from calib.rows.observations import Observations
 from calib.rows.repeated_readings import observe_gazes
@@ -42,14 +44,24 @@ def chosen(
     method: str,
     gaze: GazeResult,
     rows: Observations,
+    shared: Shared,
     adjustment: Adjustment,
 ) -> Choice:
-    """Return from what the instrument is taken; `method` is what the user asks for."""
+    """Return from what the instrument is taken.
+
+    Parameters
+    ----------
+    method
+        What the user asks for.
+    shared
+        By what `rows` have errors in common.
+    """
     agrees = None
     if gaze.calibrated is not None:
         agrees = agreement(
             adjustment,
             rows,
+            shared,
             noise_factor=gaze.calibrated.noise_factor,
             outliers=gaze.robust[gaze.calibrated.model].outliers,
         )
@@ -61,6 +73,7 @@ def of_record(
     dataset: Dataset,
     method: str,
     rows: Staged[Observations],
+    shared: Staged[Shared],
     adjustment: Staged[Adjustment] | None,
 ) -> Callable[[GazeResult], bool]:
     """Return what tells whether the instrument by the rows is of record, and so is certified."""
@@ -68,7 +81,8 @@ def of_record(
     def by_rows(gaze: GazeResult) -> bool:
         if adjustment is None or adjustment.failed is not None:
             return True
-        return chosen(dataset, method, gaze, rows.value, adjustment.value).method != ADJUSTMENT
+        choice = chosen(dataset, method, gaze, rows.value, shared.value, adjustment.value)
+        return choice.method != ADJUSTMENT
 
     return by_rows
 
@@ -76,10 +90,11 @@ def of_record(
 def adjustment_gates(
     adjustment: Staged[Adjustment] | None, choice: Choice | None
 ) -> tuple[Gate, ...]:
-    """Return the gates of the adjustment where the instrument is taken from it."""
-    if adjustment is None or choice is None or choice.method == ROWS:
+    """Return the gates of the adjustment; those of cameras and rig where rows are of record."""
+    if adjustment is None or choice is None:
         return ()
-    return adjustment.value.gates
+    gates = adjustment.value.gates
+    return rig_gates(gates) if choice.method == ROWS else gates
 
 
 def not_used(choice: Choice | None) -> tuple[str, ...]:

@@ -122,7 +122,7 @@ def calibrate(
         gaze, choice = None, None
         if dataset.gaze is not None:
             rows = gaze_rows(dataset, dataset.gaze, store, images)
-            by_rows = of_record(dataset, options.method, rows, adjustment)
+            by_rows = of_record(dataset, options.method, rows, images.shared, adjustment)
             if rows.failed is not None:
                 failures["gaze rows"] = rows.failed
             elif dataset.manifest.rig.is_left:
@@ -135,7 +135,9 @@ def calibrate(
             else:
                 gaze = _gaze_chain(dataset, options, store, images, rows, by_rows)
         if gaze is not None and adjustment is not None and adjustment.failed is None:
-            choice = chosen(dataset, options.method, gaze, rows.value, adjustment.value)
+            choice = chosen(
+                dataset, options.method, gaze, rows.value, images.shared.value, adjustment.value
+            )
             gaze = with_adjustment(
                 dataset, store, images, gaze, adjustment, choice, seed=options.seed
             )

@@ -196,7 +196,8 @@ class ReadingsReader:
         width = len(header)
         for i, record in enumerate(records):
             if len(record) != width:
-                count = f"has {len(record)} cells, the header has {width}"
+                cells = "1 cell" if len(record) == 1 else f"{len(record)} cells"
+                count = f"has {cells}, the header has {width}"
                 faults.setdefault(i, count if record else "is empty")
                 records[i] = (record + [""] * width)[:width]
         columns = {

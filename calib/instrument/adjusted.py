@@ -10,16 +10,17 @@ from scipy.stats import chi2
 
 from calib.core.arrays import FloatArray
 from calib.core.errors import UsageError
-from calib.core.unit_diagonal import unit_diagonal
+from calib.core.unit_diagonal import Spectrum, unit_diagonal
 from calib.fit.robust import identified_by
 from calib.fit.start import some_rows
 from calib.geometry.misclosure import misclosure
 from calib.geometry.parameters import INDEX, embed
 from calib.geometry.plane import OBSERVABLE
 from calib.images.adjustment.result import AdjustedModel, Adjustment
+from calib.images.stereo.triangulate import POSE_NAMES
 from calib.instrument.calibrated import EVALUATION, CalibratedInstrument, DepthTable
 from calib.instrument.validation import ValidationResult
-from calib.rows.common_errors import Shared
+from calib.rows.common_errors import RANK, Shared
 from calib.rows.from_table import CameraSet, RowSettings, Setup
 from calib.rows.observations import Observations
 from calib.uncertainty.measurement import ParameterKnowledge, SharedErrors
@@ -118,17 +119,25 @@ class Agreement:
 def agreement(
     adjustment: Adjustment,
     rows: Observations,
+    shared: Shared,
     *,
     noise_factor: float = 1.0,
     outliers: Collection[str] = (),
 ) -> Agreement:
     """Return how rows agree with the adjusted gaze planes.
 
-    The covariance has all that is uncertain of a row, what it shares with others, and the
-    parameters. Pictures of the rows are part of the adjustment, which would lessen it: left out.
+    The covariance has all that is uncertain of a row, what it shares with others, the parameters,
+    and what these have in common: lenses and pose of C2, by which rows are seen, are of pictures
+    that the adjustment has as well. An efficient estimate does not covary with how much another
+    one differs from it (Hausman 1978, doi 10.2307/1913827), so that the covariance with lenses and
+    pose of the rows is that with its own. Corner noise of the rows' own pictures, which is part of
+    the adjustment, would lessen it further: left out.
 
     Parameters
     ----------
+    shared
+        The estimated quantities by which `rows` have errors in common; none where they are not of
+        the adjusted pictures.
     noise_factor
         By how much the rows' own fit proves their stated uncertainties too small: noise is no
         contradiction.
@@ -147,16 +156,43 @@ def agreement(
         together = np.equal.outer(kept.z_group, kept.z_group) & ~np.eye(len(kept), dtype=np.bool_)
         covariance += np.where(together, np.outer(common, common), 0.0)
     covariance *= noise_factor**2
-    if kept.shared_names:
-        shared = np.einsum("nq,nqk->nk", by, kept.shared)
-        covariance += shared @ shared.T
     slope = found.by_theta[:, [INDEX[name] for name in record.names]]
     covariance += slope @ record.covariance @ slope.T
+    if kept.shared_names:
+        loading = np.einsum("nq,nqk->nk", by, kept.shared)
+        covariance += loading @ loading.T
+    if kept.shared_names and shared.names:
+        cross = slope @ _with_shared(record, shared) @ loading.T
+        covariance += cross + cross.T
     std, correlation = unit_diagonal(covariance)
     pulls = found.value / std
     statistic = float(pulls @ np.linalg.solve(correlation, pulls))
     return Agreement(statistic, len(kept), float(chi2.sf(statistic, len(kept))))
 
+
+def _with_shared(record: AdjustedModel, shared: Shared) -> FloatArray:
+    """Return the covariance of the parameters with the errors that rows share, shape (p, k).
+
+    None is correlated by more than 1: factors by which views contradict each other are not the same
+    in both estimates.
+    """
+    known = {
+        **dict(zip(record.lens_names, record.with_lens.T, strict=True)),
+        **dict(zip(POSE_NAMES, record.with_pose.T, strict=True)),
+    }
+    nothing = np.zeros(len(record.names))
+    with_shared = np.stack([known.get(name, nothing) for name in shared.names], axis=1)
+    unit = np.linalg.norm(shared.factor, axis=1)
+    by_error = with_shared / unit @ np.linalg.pinv(shared.factor / unit[:, None], rcond=OPEN).T
+    own = Spectrum.of(record.covariance)
+    correlation = own.inverse_root(RANK).T @ by_error
+    u, size, vt = np.linalg.svd(correlation, full_matrices=False)
+    found: FloatArray = own.root(RANK) @ (u * np.minimum(size, 1.0)) @ vt
+    return found
+
+
+OPEN = 1e-6
+"""Share of the greatest error in common below which one is not told from the others."""
 
 BY_RULE, ROWS, ADJUSTMENT = "rule", "rows", "adjustment"
 """From what the instrument is taken: by the rule of `choose`, or as the user says."""

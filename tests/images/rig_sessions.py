@@ -44,13 +44,14 @@ class Layout:
 
 @dataclass(frozen=True)
 class Pictured:
-    """Exact corners of a session, and what is known of it."""
+    """Exact corners of a session, what is known of it, and how far the boards stand, mm."""
 
     rig: Rig
     board: Board
     taken: Taken
     exact: dict[str, FloatArray] = field(repr=False)
     cameras: dict[str, str] = field(repr=False)
+    distance_mm: dict[str, float] = field(repr=False)
 
     def corners(self, rng: np.random.Generator, sigma_px: float) -> tuple[Corners, Corners]:
         found = []
@@ -118,13 +119,10 @@ def session(
     drawn = draw_image_session(options, rig, board, rng)
     points = deformed(board.object_points(), bow_mm)
     whose = {"c1": rig.c1, "c2": rig.c2}
-    exact = {
-        shot.path: scenes.project(
-            whose[shot.camera], points @ shot.pose[:3, :3].T + shot.pose[:3, 3]
-        )
-        for shot in drawn.shots
-        if layout.pairs or not shot.path.startswith("stereo/")
-    }
+    shots = [s for s in drawn.shots if layout.pairs or not s.path.startswith("stereo/")]
+    placed = {s.path: points @ s.pose[:3, :3].T + s.pose[:3, 3] for s in shots}
+    exact = {s.path: scenes.project(whose[s.camera], placed[s.path]) for s in shots}
+    distance = {path: float(np.linalg.norm(p.mean(axis=0))) for path, p in placed.items()}
     gaze = _columns(drawn.tables["gaze.csv"])
     rows = Rows(
         tuple(gaze["id"]),
@@ -153,7 +151,7 @@ def session(
         reading_std_rad=std,
     )
     cameras = {shot.path: shot.camera for shot in drawn.shots if shot.path in exact}
-    return Pictured(rig, board, taken, exact, cameras)
+    return Pictured(rig, board, taken, exact, cameras, distance)
 
 
 def _columns(table: Table) -> dict[str, tuple[Any, ...]]:

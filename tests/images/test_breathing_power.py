@@ -81,8 +81,12 @@ def test_where_breathing_spoils_depths_it_is_caught(both: bool) -> None:
     caught, inside, _ = power(0.0, both=both)
     assert caught <= 0.05
     assert inside > 0.9
+    _, inside, _ = power(SHARES[-2], both=both)
+    assert inside > 0.85  # nine in ten; of 20 draws, whose depths go together, some 2 % off
     caught, inside, _ = power(SHARES[-1], both=both)
-    assert caught >= 0.9
+    # Two lenses hide each other in part: 80 % of 20 draws, with a standard error of 9 %.
+    assert caught >= (0.6 if both else 0.9)
+    assert inside > 0.8
 
 
 if __name__ == "__main__":

@@ -26,12 +26,17 @@ from calib.instrument.adjusted import (
     choose,
     refuse_missing,
 )
+from calib.rows.common_errors import Shared
+from calib.rows.from_table import direction_by_common
 from calib.rows.observations import Observations
 from calib.simulate.rig import Rig
 from calib.simulate.tables import draw_targets, observe
 from tests.images.rig_sessions import everything, session
 
 COUNT = 30
+FEW = 8
+ALONE = Shared()
+"""Rows that have no estimated quantity in common with the pictures."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +65,7 @@ def scene() -> Scene:
 def test_rows_of_the_same_rig_agree_as_chance_has_it(scene: Scene) -> None:
     """Chi-squared of 30 has a standard deviation of 7.7; the mean of 12, which share the
     adjustment's own error, one of some 3."""
-    found = [agreement(scene.adjustment, scene.rows(seed)) for seed in range(12)]
+    found = [agreement(scene.adjustment, scene.rows(seed), ALONE) for seed in range(12)]
     assert {one.freedom for one in found} == {COUNT}
     assert 20 < np.mean([one.statistic for one in found]) < 40
     assert min(one.probability for one in found) > CONTRADICTED
@@ -77,8 +82,8 @@ def test_rows_that_miss_by_less_than_three_of_their_u_contradict_all_the_same(sc
     sigma = np.sqrt((found.by_observable**2 * rows.std**2).sum(axis=1))
     z = OBSERVABLE.z
     moved = replace(rows, z_mm=rows.z_mm + 2 * sigma / found.by_observable[:, z])
-    assert agreement(known, rows).probability > 0.01
-    told = agreement(known, moved)
+    assert agreement(known, rows, ALONE).probability > 0.01
+    told = agreement(known, moved, ALONE)
     assert np.sqrt(told.statistic / COUNT) < 3
     choice = choose(BY_RULE, known, told, corrected=False)
     assert choice.method == ROWS
@@ -92,8 +97,8 @@ def test_noise_is_no_contradiction_where_the_rows_themselves_show_it(scene: Scen
         alpha2_rad=rows.alpha2_rad
         + 8 * rows.std[:, OBSERVABLE.alpha2] * rng.standard_normal(COUNT),
     )
-    assert agreement(scene.adjustment, noisy).probability < CONTRADICTED
-    assert agreement(scene.adjustment, noisy, noise_factor=8.0).probability > CONTRADICTED
+    assert agreement(scene.adjustment, noisy, ALONE).probability < CONTRADICTED
+    assert agreement(scene.adjustment, noisy, ALONE, noise_factor=8.0).probability > CONTRADICTED
 
 
 def test_one_mistaken_row_speaks_for_no_other(scene: Scene) -> None:
@@ -101,8 +106,8 @@ def test_one_mistaken_row_speaks_for_no_other(scene: Scene) -> None:
     depths = rows.z_mm.copy()
     depths[5] *= 1.2
     spoilt = replace(rows, z_mm=depths)
-    assert agreement(scene.adjustment, spoilt).probability < CONTRADICTED
-    without = agreement(scene.adjustment, spoilt, outliers=(rows.ids[5],))
+    assert agreement(scene.adjustment, spoilt, ALONE).probability < CONTRADICTED
+    without = agreement(scene.adjustment, spoilt, ALONE, outliers=(rows.ids[5],))
     assert (without.freedom, without.probability > CONTRADICTED) == (COUNT - 1, True)
 
 
@@ -120,9 +125,9 @@ def test_an_error_that_rows_of_a_pose_share_counts_once(scene: Scene) -> None:
         shared=np.concatenate([rows.shared, loadings], axis=2) if rows.shared_names else loadings,
         shared_names=(*rows.shared_names, *(f"pose {i}" for i in range(5))),
     )
-    found, wanted = (agreement(scene.adjustment, one) for one in (stated, shared))
+    found, wanted = (agreement(scene.adjustment, one, ALONE) for one in (stated, shared))
     assert found.statistic == pytest.approx(wanted.statistic, rel=1e-9)
-    apart = agreement(scene.adjustment, replace(stated, z_group=np.arange(COUNT)))
+    apart = agreement(scene.adjustment, replace(stated, z_group=np.arange(COUNT)), ALONE)
     assert abs(apart.statistic - found.statistic) > 0.5
 
 
@@ -138,7 +143,52 @@ def test_what_the_adjustment_itself_leaves_uncertain_counts(scene: Scene) -> Non
     known = replace(scene.adjustment, models=(off,))
     unsure = replace(scene.adjustment, models=(replace(off, covariance=wide),))
     rows = scene.rows(8)
-    assert agreement(known, rows).probability < CONTRADICTED < agreement(unsure, rows).probability
+    assert (
+        agreement(known, rows, ALONE).probability
+        < CONTRADICTED
+        < agreement(unsure, rows, ALONE).probability
+    )
+
+
+def test_lenses_that_rows_and_parameters_have_in_common_count_once(scene: Scene) -> None:
+    """Errors of both drawn together 60 times, with lenses known twenty times less well."""
+    record, rng = scene.adjustment.complete, np.random.default_rng(9)
+    by_lens = record.with_lens @ np.linalg.pinv(record.lens_covariance, rcond=1e-12)
+    lens = 400 * record.lens_covariance
+    record = replace(
+        record,
+        lens_covariance=lens,
+        with_lens=by_lens @ lens,
+        covariance=record.covariance + by_lens @ (lens - record.lens_covariance) @ by_lens.T,
+    )
+    shared = Shared.of(record.lens_names, lens)
+    theta = scene.rig.theta[[INDEX[name] for name in record.names]]
+    joint = np.block([[record.covariance, record.with_lens], [record.with_lens.T, lens]])
+    unit = np.sqrt(np.diag(joint))
+    errors = unit * rng.multivariate_normal(
+        np.zeros(len(unit)), joint / np.outer(unit, unit), size=60, method="eigh"
+    )
+    found, apart = [], []
+    for i, error in enumerate(errors):
+        rows = scene.rows(100 + i).take(np.arange(FEW))
+        loading = np.zeros((FEW, len(OBSERVABLE), shared.factor.shape[1]))
+        at_rays = np.stack([rows.x1c, rows.y1c], axis=1)
+        loading[:, :2] = direction_by_common(at_rays, record.cameras[0], shared)
+        own = np.linalg.pinv(shared.factor, rcond=1e-9) @ error[len(theta) :]
+        seen = replace(
+            rows,
+            x1c=rows.x1c + loading[:, 0] @ own,
+            y1c=rows.y1c + loading[:, 1] @ own,
+            shared=loading,
+            shared_names=shared.error_names,
+        )
+        estimate = replace(record, values=theta + error[: len(theta)])
+        adjusted = replace(scene.adjustment, models=(estimate,))
+        found.append(agreement(adjusted, seen, shared).statistic)
+        apart.append(agreement(adjusted, seen, ALONE).statistic)
+    # Chi-squared of 8: the mean of 60 has a standard deviation of 0.5.
+    assert np.mean(found) == pytest.approx(FEW, abs=1.6)
+    assert np.mean(apart) < FEW - 1
 
 
 def test_the_order_of_reasons(scene: Scene) -> None:

@@ -6,9 +6,13 @@ import numpy as np
 
 from calib.core.gate import Gate
 from calib.images.adjustment.solve import Solution
+from calib.images.adjustment.steadiness import turn_of_c1
 from calib.images.bundle import finite
 from calib.images.checks import fit_gate, gate
+from calib.images.joint.changes import focal_changes
+from calib.images.joint.drifts import CHANCE, centre_shifts
 from calib.images.mrcal.solves import MIN_CORNERS
+from calib.images.stereo.gates import lens_gates, steady_gates
 from calib.images.sweep.yaw_axis import READING_LIMIT, SMALL_READING_ERROR_RAD
 
 LEFT_OUT_LIMIT = 0.1
@@ -20,6 +24,10 @@ NAMED = 10
 FACTOR_LIMIT = 100.0
 """By which views may contradict each other in the rig, in variances of corner noise: corners of
 real boards reach 2 to 20 (light, blur, a board not quite a parabola). At 100 something moved."""
+
+
+STEADY = "c1-steady"
+"""Name of the gate on C1 keeping its place: of the rig, whatever its depths are taken from."""
 
 
 def adjustment_gates(found: Solution, stated_rad: float) -> tuple[Gate, ...]:
@@ -44,7 +52,36 @@ def adjustment_gates(found: Solution, stated_rad: float) -> tuple[Gate, ...]:
         _pictures_gate(found, left, count),
         _views_gate(found),
         _readings_gate(found, stated_rad),
+        *_steady_gates(found),
     )
+
+
+def rig_gates(gates: tuple[Gate, ...]) -> tuple[Gate, ...]:
+    """Return those of the gates that are of cameras and rig, whatever the instrument is by."""
+    return tuple(gate for gate in gates if not gate.name.startswith("adjustment-"))
+
+
+def _steady_gates(found: Solution) -> tuple[Gate, ...]:
+    """Gates on lenses and C1 staying as they are; on lenses where no pairs have their own."""
+    gates: tuple[Gate, ...] = ()
+    if "pair" not in found.problem.pictures.kinds:
+        gates = (*lens_gates(focal_changes(found)), *steady_gates(centre_shifts(found), None))
+    turn = turn_of_c1(found, found.problem, found.rig, found.reading_errors_rad)
+    if turn is None:
+        return gates
+    x, y, z = 1e3 * turn.turn_rad
+    steady = gate(
+        STEADY,
+        not turn.found,
+        f"from the first gaze row to the last C1 turns against the rig by ({x:z.2f}, {y:z.2f}, "
+        f"{z:z.2f}) mrad +- ({', '.join(f'{1e3 * u:.2f}' for u in turn.std)}), chi2 "
+        f"{turn.chi2:.1f} of 3 (limit {turn.limit:.3g}); errors of readings grow by "
+        f"{1e3 * turn.trend_rad:z.2f} mrad (p = {turn.trend_probability:.1g} by chance, limit "
+        f"{CHANCE:g})",
+        remedy="C1 or its mount creeps (a loose screw, a cable that pulls, a tripod that warms "
+        "up), or the zero of the encoder does: fasten it, wait, and take the rows again",
+    )
+    return (*gates, steady)
 
 
 def left_out(found: Solution) -> list[int]:

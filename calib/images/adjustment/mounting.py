@@ -151,6 +151,32 @@ def pose_of(rig: FloatArray, reading: float, error: float = 0.0) -> FloatArray:
     return pose
 
 
+LINE = ("baseline_mm", "axis_z_mm", "axis_tilt_z_rad", "axis_tilt_x_rad", "delta2_rad")
+"""Unknowns that move C2 and its axis as one rigid body; a shift of C2 along the axis makes six."""
+
+
+def rig_by_turn_of_c1(rig: FloatArray) -> FloatArray:
+    """Return d(`RIG`)/d(w), shape (13, 3), for a turn w of C1 about its own centre, rad.
+
+    Points P of its frame move to P + w x P, and with them C2 and its axis.
+    """
+    reading = ENCODER_CENTRE_RAD
+    pose, by_rig = pose_by_rig(rig, reading)
+    turn = pose_of(rig, reading)[:3, :3]
+    slope = cv2.Rodrigues(turn)[1].reshape(-1, 3).T
+    by_turn = np.stack(
+        [np.concatenate([slope @ (spin @ turn).ravel(), spin @ pose[3:]]) for spin in (_X, _Y, _Z)],
+        axis=1,
+    )
+    value = dict(zip(RIG, rig, strict=True))
+    axis_in_c2 = (_about(_X, -value[PITCH]) @ _about(_Z, -value["gaze_roll_rad"]))[:, 1]
+    free = np.zeros((len(RIG), len(LINE) + 1))
+    free[[RIG.index(name) for name in LINE], np.arange(len(LINE))] = 1.0
+    free[[RIG.index(name) for name in _MOUNT], -1] = axis_in_c2
+    moved: FloatArray = free @ np.linalg.solve(by_rig @ free, by_turn)
+    return moved
+
+
 def pose_by_rig(rig: FloatArray, reading: float) -> tuple[FloatArray, FloatArray]:
     """Return 1T2 as rotation vector and translation, shape (6,), with d/d(`RIG`), shape (6, 13)."""
     pose = pose_of(rig, reading)

@@ -107,8 +107,8 @@ class Problem(LensesAndBoard):
     lens_information: tuple[FloatArray, FloatArray]
 
     @property
-    def images(self) -> Pictures:
-        """The pictures, as `calib.images.joint` calls them."""
+    def pictured(self) -> Pictures:
+        """The pictures."""
         return self.pictures
 
     @property

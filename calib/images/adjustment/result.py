@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import chi2
 
-from calib.core.arrays import BoolArray, FloatArray
+from calib.core.arrays import BoolArray, FloatArray, IntArray
 from calib.core.gate import Gate
 from calib.core.unit_diagonal import unit_diagonal
 from calib.geometry.board import Board, Corners
@@ -53,6 +53,8 @@ class AdjustedModel:
         Covariance of `values` with the intrinsics, shape (p, q).
     pose_12, pose_covariance
         Pose of C2 in C1 at `reading_rad`, rad and mm, shapes (6,), (6, 6).
+    with_pose
+        Covariance of `values` with the pose at which C2 truly stood for the pairs, shape (p, 6).
     reading_rad
         At which C2 was held for the pairs; 90 deg without.
     board_warp_mm
@@ -78,6 +80,7 @@ class AdjustedModel:
     with_lens: FloatArray
     pose_12: FloatArray
     pose_covariance: FloatArray
+    with_pose: FloatArray
     reading_rad: float
     board_warp_mm: tuple[float, float]
     factors: tuple[float, float, float]
@@ -259,12 +262,24 @@ def _described(model: str, s: Solution, complete: Solution, reading: float) -> A
         with_lens=spread[np.ix_(at, at_lens)],
         pose_12=pose,
         pose_covariance=by @ spread[inside] @ by.T,
+        with_pose=spread[np.ix_(at, problem.at_rig)] @ by.T + _with_held(s, at, by_rig),
         reading_rad=reading,
         board_warp_mm=s.board_warp_mm,
         factors=s.factors,
         misfit=float(misfit),
         freedom=freedom,
     )
+
+
+def _with_held(s: Solution, at: IntArray, by_rig: FloatArray) -> FloatArray:
+    """Return what the error of the pairs' reading adds to `AdjustedModel.with_pose`, (p, 6)."""
+    problem, pictures = s.problem, s.problem.pictures
+    paired = [k for k, kind in enumerate(pictures.kinds) if kind == "pair"]
+    held = np.flatnonzero(np.isin(pictures.shared, pictures.exposure[paired]))
+    by_turn = by_rig[:, RIG.index("delta2_rad")] * problem.reading_std_rad
+    shared = s.covariance[np.ix_(at, problem.at_held[held])].sum(axis=1)
+    added: FloatArray = np.outer(shared, by_turn)
+    return added
 
 
 NEARLY_NO_PRIOR = 1e-8

@@ -3,8 +3,9 @@
 The robust scheme is that of `calib.images.joint.solve`. The variance of the errors of readings is a
 component of its own: a motor that rests on whole counts errs by much less than a count. The
 covariance is that of least squares, block by block (each lens, the rig) times the factor by which
-views contradict each other (`calib.images.joint.reduced.dispersion`), and what errors of the board
-add, which all views have alike (`calib.images.board_errors`).
+views contradict each other (`calib.images.joint.reduced.dispersion`), what errors of the board
+add, which all views have alike (`calib.images.board_errors`), and what changes of lenses and rig
+between the pictures may add (`calib.images.joint.allowance`, `calib.images.adjustment.steadiness`).
 """
 
 from __future__ import annotations
@@ -18,7 +19,9 @@ from calib.core.arrays import BoolArray, FloatArray, IntArray
 from calib.geometry.camera import Camera
 from calib.images.adjustment.model import Evaluation, board_covariance, evaluate
 from calib.images.adjustment.problem import Problem
+from calib.images.adjustment.steadiness import turn_covariance
 from calib.images.bundle import finite, proven
+from calib.images.joint.allowance import breathing_covariance
 from calib.images.joint.reduced import Reduced, Unknowns, ViewNormals, dispersion, minimise_views
 from calib.images.joint.solve import (
     VARIANCE_CHANGE,
@@ -52,7 +55,9 @@ class Solution:
     weight
         Of each corner, 1/px^2, shape (i, corners); 0 where missing or rejected.
     covariance
-        Of the shared unknowns, with the factors and the board's errors, shape (n, n).
+        Of the shared unknowns, with all that the docstring of this module names, shape (n, n).
+    allowance
+        What changes between the pictures add to it, shape (n, n).
     factors
         On the variances of the intrinsics of C1, of C2 (1 where given) and of the rig.
     clusters
@@ -71,6 +76,7 @@ class Solution:
     reduced: Reduced
     weight: FloatArray
     covariance: FloatArray
+    allowance: FloatArray
     factors: tuple[float, float, float]
     clusters: IntArray
     sigma_px: dict[str, float]
@@ -214,11 +220,16 @@ def _solution(
     errors[pictures.exposure[readings.image]] = problem.reading_std_rad * readings.value
     board = board_covariance(problem, reduced.at, weight, reduced.normals[-1])
     used = weight > 0
+    shown: BoolArray = np.asarray(used.any(axis=-1))
+    covariance = reduced.spread() * np.outer(scale, scale) + board
+    allowance = breathing_covariance(problem, reduced, shown, max(factors))
+    allowance += turn_covariance(problem, reduced, shown, factors[2])
     return Solution(
         problem=problem,
         reduced=reduced,
         weight=weight,
-        covariance=reduced.spread() * np.outer(scale, scale) + board,
+        covariance=covariance + allowance,
+        allowance=allowance,
         factors=(factors[0], factors[1], factors[2]),
         clusters=clusters,
         sigma_px=sigma_px,

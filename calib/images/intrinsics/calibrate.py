@@ -40,7 +40,7 @@ from calib.images.intrinsics.maps import (
 from calib.images.intrinsics.remarks import (
     backend_warnings,
     better,
-    board_warning,
+    fit_warnings,
     other_fits_better,
     picture_warnings,
 )
@@ -278,7 +278,7 @@ def _assemble(
             *repeats_warning(camera, corners.images, clusters),
             *backend_warnings(camera, mrcal),
             *(f"{camera}: {said}" for said in (worse, *others_better) if said),
-            *board_warning(camera, selected, corners, board),
+            *fit_warnings(camera, selected, corners, board),
             *intrinsics_warnings(
                 camera,
                 gates,

@@ -8,10 +8,12 @@ import numpy as np
 
 from calib.core.errors import EstimationError
 from calib.geometry.board import Board, Corners, LensFit
+from calib.images.bundle import deformed
 from calib.images.detection.marks import PATTERN_RATIO, on_board, repeated_pattern
 from calib.images.intrinsics.by_mrcal import MrcalFits
 from calib.images.intrinsics.gates import WORSE
 from calib.images.intrinsics.maps import fit_name
+from calib.images.intrinsics.rolling_shutter import rolling_shutter
 
 FEWER = 0.02
 """Share of the selected fit's corners that another one may lack and still be set beside it."""
@@ -91,6 +93,29 @@ def backend_warnings(camera: str, mrcal: MrcalFits) -> tuple[str, ...]:
     if mrcal.missing:
         return (f"{camera}: {mrcal.missing}",)
     return tuple(f"{camera}: mrcal, {lens}: {why}" for lens, why in mrcal.failed.items())
+
+
+def fit_warnings(camera: str, fit: LensFit, corners: Corners, board: Board) -> tuple[str, ...]:
+    """Say what the residuals have in common: in all pictures alike, or within each."""
+    return (
+        *board_warning(camera, fit, corners, board),
+        *_rolling_warning(camera, fit, corners, board),
+    )
+
+
+def _rolling_warning(camera: str, fit: LensFit, corners: Corners, board: Board) -> tuple[str, ...]:
+    """Say that boards moved before a rolling shutter."""
+    points = deformed(board.object_points(), fit.board_warp_mm)
+    found = rolling_shutter(fit, corners.pixels, points)
+    if found is None or not found.told:
+        return ()
+    return (
+        f"{camera}: each picture shows the board sheared or stretched in its own way, by "
+        f"{found.motion_px:.1f} px over the height of the picture, {100 * found.share:.0f} % of "
+        "all that the lens leaves of the corners: boards moved while a rolling shutter read the "
+        "rows of the picture. The uncertainty contains what views contradict each other; put the "
+        "board on a stand, or use a camera with a global shutter",
+    )
 
 
 def board_warning(camera: str, fit: LensFit, corners: Corners, board: Board) -> tuple[str, ...]:

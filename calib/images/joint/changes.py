@@ -14,15 +14,16 @@ view's normal matrix and gradient, C the inverse of the sum of N_v,
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from calib.core.arrays import BoolArray, FloatArray, IntArray
-from calib.geometry.poses import transform
+from calib.geometry.camera import Camera
 from calib.images.bundle import finite
-from calib.images.joint.reduced import dispersion
-from calib.images.joint.solve import JointSolve
+from calib.images.joint.allowance import along, board_distances
+from calib.images.joint.reduced import Reduced, dispersion
+from calib.images.joint.unknowns import LensesAndBoard
 
 MIN_IMAGES = 4
 """Images of a kind below which it is not compared with the others."""
@@ -32,6 +33,30 @@ BOTH_GAIN = 10.8
 
 TOLD_LEAST = 1e-9
 """Share of the information that other unknowns leave, below which a change is not told."""
+
+
+class Solved(Protocol):
+    """A solve of many pictures at its minimum: that of lenses and pairs, or the adjustment."""
+
+    @property
+    def problem(self) -> LensesAndBoard:
+        """Images and unknowns."""
+
+    @property
+    def reduced(self) -> Reduced:
+        """The views' say."""
+
+    @property
+    def cameras(self) -> tuple[Camera, Camera]:
+        """C1 and C2."""
+
+    @property
+    def residuals(self) -> FloatArray:
+        """Observed minus projected, px, shape (i, corners, 2); NaN where missing or rejected."""
+
+    @property
+    def clusters(self) -> IntArray:
+        """Cluster of each view that `reduced` has."""
 
 
 @dataclass(frozen=True)
@@ -58,9 +83,9 @@ class FocalChange:
     together: bool = False
 
 
-def focal_changes(joint: JointSolve) -> tuple[FocalChange, ...]:
+def focal_changes(joint: Solved) -> tuple[FocalChange, ...]:
     """Return the changes that the images allow to be estimated, cameras that are given left out."""
-    images = joint.problem.images
+    images = joint.problem.pictured
     kinds = np.array(images.kinds)
     used = finite(joint.residuals).any(axis=-1)
     owned = {c: (images.camera == c) & used for c in (0, 1) if joint.problem.free[c]}
@@ -73,7 +98,7 @@ def focal_changes(joint: JointSolve) -> tuple[FocalChange, ...]:
             if min(int(chosen.sum()), others) >= MIN_IMAGES:
                 told[c] = _by_view(joint, chosen, np.ones(len(own)))
         found += _changes(joint, told, kind)
-    near = 1 / _distances(joint)[images.view]
+    near = 1 / board_distances(joint.problem, joint.reduced.at.own[: images.views])[images.view]
     spans = {c: float(np.ptp(near[own])) if own.any() else 0.0 for c, own in owned.items()}
     told = {
         c: _by_view(joint, owned[c], (near - near[owned[c]].mean()) / span)
@@ -84,21 +109,15 @@ def focal_changes(joint: JointSolve) -> tuple[FocalChange, ...]:
     return tuple(sorted(found, key=lambda change: change.camera))
 
 
-def _distances(joint: JointSolve) -> FloatArray:
-    """Return how far the middle of the board is from its camera, mm, in each view."""
-    middle = joint.problem.points.mean(axis=0, keepdims=True)
-    return np.array([float(np.linalg.norm(transform(pose, middle))) for pose in joint.poses])
-
-
-def _by_view(joint: JointSolve, chosen: BoolArray, x: FloatArray) -> FloatArray:
+def _by_view(joint: Solved, chosen: BoolArray, x: FloatArray) -> FloatArray:
     """Return x, one an image, by view; 0 where the camera has no chosen image."""
-    images = joint.problem.images
-    values = np.zeros(images.views)
+    images = joint.problem.pictured
+    values = np.zeros(len(joint.reduced.scores))
     values[images.view[chosen]] = x[chosen]
     return values
 
 
-def _changes(joint: JointSolve, told: dict[int, FloatArray], between: str) -> list[FocalChange]:
+def _changes(joint: Solved, told: dict[int, FloatArray], between: str) -> list[FocalChange]:
     """Return the change of each camera with its covariate by view; none that nothing tells.
 
     That of each alone, unless both together explain the images better beyond doubt.
@@ -121,10 +140,10 @@ def _changes(joint: JointSolve, told: dict[int, FloatArray], between: str) -> li
     ]
 
 
-def _estimate(joint: JointSolve, told: dict[int, FloatArray]) -> Estimate | None:
+def _estimate(joint: Solved, told: dict[int, FloatArray]) -> Estimate | None:
     """Return the changes of focal length of the cameras together; None where they stay open."""
     at = [joint.problem.at_lens(c) for c in told]
-    way = np.zeros((len(told), joint.problem.images.views, joint.problem.size))
+    way = np.zeros((len(told), *joint.reduced.scores.shape))
     for k, x in enumerate(told.values()):
         way[k][:, at[k][:2]] = x[:, None] * joint.reduced.at.shared[at[k][:2]]
     return estimate(joint, way, at)
@@ -139,7 +158,7 @@ class Estimate(NamedTuple):
     squares: float
 
 
-def estimate(joint: JointSolve, way: FloatArray, at: list[IntArray]) -> Estimate | None:
+def estimate(joint: Solved, way: FloatArray, at: list[IntArray]) -> Estimate | None:
     """Return the changes along ways together; None where something leaves them open.
 
     Parameters
@@ -150,21 +169,18 @@ def estimate(joint: JointSolve, way: FloatArray, at: list[IntArray]) -> Estimate
         Places of the unknowns in which the views' disagreement counts, of each way.
     """
     reduced, spread = joint.reduced, joint.reduced.spread()
-    along = np.einsum("vij,kvj->kvi", reduced.normals, way)
-    mixed = along.sum(axis=1)
-    plain = np.einsum("kvi,lvi->kl", along, way)
-    information = plain - mixed @ spread @ mixed.T
-    scale = np.sqrt(np.diag(plain))
+    told = along(reduced, way, spread)
+    scale = np.sqrt(np.diag(told.plain))
     if not np.all(scale > 0):
         return None
-    if np.linalg.eigvalsh(information / np.outer(scale, scale))[0] <= TOLD_LEAST:
+    if np.linalg.eigvalsh(told.information / np.outer(scale, scale))[0] <= TOLD_LEAST:
         return None
-    variance = np.linalg.inv(information)
-    beta = -variance @ np.einsum("kvi,vi->k", way, reduced.scores)
+    variance = np.linalg.inv(told.information)
+    beta = -variance @ told.gradient
     # The views contradict each other by these changes, too: the factor is that of what is left.
-    moved = np.einsum("k,kvi->vi", beta, way) - spread @ (beta @ mixed)
+    moved = np.einsum("k,kvi->vi", beta, way) - spread @ (beta @ told.mixed)
     scores = reduced.scores + np.einsum("vij,vj->vi", reduced.normals, moved)
     left = replace(reduced, scores=scores)
     factors = np.array([dispersion(left, own, joint.clusters) for own in at])
     std = np.sqrt(factors * np.diag(variance))
-    return Estimate(beta, std, factors, float(beta @ information @ beta))
+    return Estimate(beta, std, factors, float(beta @ told.information @ beta))

@@ -13,7 +13,7 @@ from scipy.stats import f as fisher
 
 from calib.core.arrays import FloatArray, IntArray
 from calib.images.bundle import finite
-from calib.images.joint.changes import MIN_IMAGES, estimate
+from calib.images.joint.changes import MIN_IMAGES, Solved, estimate
 from calib.images.joint.model import POSE
 from calib.images.joint.solve import JointSolve
 
@@ -67,9 +67,9 @@ class PoseDrift:
     limit: float
 
 
-def centre_shifts(joint: JointSolve) -> tuple[CentreShift, ...]:
+def centre_shifts(joint: Solved) -> tuple[CentreShift, ...]:
     """Return the shifts that the images tell of, cameras that are given left out."""
-    images = joint.problem.images
+    images = joint.problem.pictured
     kinds = np.array(images.kinds)
     used = finite(joint.residuals).any(axis=-1)
     found = []
@@ -81,7 +81,7 @@ def centre_shifts(joint: JointSolve) -> tuple[CentreShift, ...]:
             if not joint.problem.free[c] or fewest < MIN_IMAGES:
                 continue
             at = joint.problem.at_lens(c)
-            way = np.zeros((2, images.views, joint.problem.size))
+            way = np.zeros((2, *joint.reduced.scores.shape))
             for k in (0, 1):
                 way[k, images.view[chosen], at[2 + k]] = 1.0
             told = estimate(joint, way, [at, at])
@@ -93,7 +93,7 @@ def centre_shifts(joint: JointSolve) -> tuple[CentreShift, ...]:
                         shift_px=told.beta,
                         std_px=told.std,
                         chi2=told.squares / float(told.factors[0]),
-                        limit=_limit(2, joint.clusters[images.view[own]]),
+                        limit=chi2_limit(2, joint.clusters[images.view[own]]),
                         focal_px=float(joint.cameras[c].matrix[0, 0]),
                     )
                 )
@@ -119,11 +119,11 @@ def pose_drift(joint: JointSolve) -> PoseDrift | None:
         shift_mm=told.beta[3:],
         std=told.std,
         chi2=told.squares / float(told.factors[0]),
-        limit=_limit(POSE, joint.clusters[views]),
+        limit=chi2_limit(POSE, joint.clusters[views]),
     )
 
 
-def _limit(count: int, clusters: IntArray) -> float:
+def chi2_limit(count: int, clusters: IntArray) -> float:
     """Return the limit of chi squared of `count` unknowns, its factor from so few clusters (F)."""
     freedom = max(len(np.unique(clusters)) - 1 - count, 1)
     return float(count * fisher.isf(CHANCE, count, freedom))

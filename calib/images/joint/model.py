@@ -78,6 +78,11 @@ class JointProblem(LensesAndBoard):
     free: tuple[bool, bool]
 
     @property
+    def pictured(self) -> BoardImages:
+        """The images."""
+        return self.images
+
+    @property
     def at_pose(self) -> IntArray:
         """Places of the pose of C2 in C1, shape (6,)."""
         first = self.after_lenses

@@ -3,14 +3,14 @@
 Corners of one camera and one kind of image (of lenses, pairs, rows) have one variance, estimated
 from their residuals; corners that stand out are left out, largest first, and the rest is solved
 again. The covariance is that of least squares, block by block times the factor by which views
-contradict each other (`calib.images.joint.reduced.dispersion`).
+contradict each other (`calib.images.joint.reduced.dispersion`), and what changes between the
+pictures may add (`calib.images.joint.allowance`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from calib.core.arrays import BoolArray, FloatArray, IntArray
 from calib.geometry.camera import Camera
 from calib.images.bundle import finite
 from calib.images.checks import OUTLIER_SIGMAS, SIGMA_OF_MEDIAN
+from calib.images.joint.allowance import breathing_covariance
 from calib.images.joint.model import POSE, JointProblem, board_covariance, normals_of, residuals_of
 from calib.images.joint.reduced import (
     Reduced,
@@ -26,6 +27,7 @@ from calib.images.joint.reduced import (
     dispersion,
     minimise_views,
 )
+from calib.images.joint.unknowns import ImagesOfViews
 from calib.images.mrcal.solves import MIN_CORNERS
 from calib.images.repeats import repeat_clusters
 
@@ -52,30 +54,6 @@ LEAST_SIGMA_PX = 1e-6
 _ROUNDS = 12
 
 
-class ImagesByView(Protocol):
-    """Images of a board by view, as `calib.images.joint.model.BoardImages` has them."""
-
-    @property
-    def kinds(self) -> tuple[str, ...]:
-        """What each was taken for."""
-
-    @property
-    def camera(self) -> IntArray:
-        """0 for C1, 1 for C2, shape (i,)."""
-
-    @property
-    def view(self) -> IntArray:
-        """Which view each shows, shape (i,)."""
-
-    @property
-    def pixels(self) -> FloatArray:
-        """Corners found, px, shape (i, corners, 2)."""
-
-    @property
-    def views(self) -> int:
-        """Number of views."""
-
-
 @dataclass(frozen=True)
 class JointSolve:
     """What all images together say.
@@ -93,7 +71,10 @@ class JointSolve:
     board_warp_mm
         Board deformation along x and y, mm.
     covariance
-        Of the shared unknowns, with the factors and the board's errors, shape (n, n).
+        Of the shared unknowns, with the factors, the board's errors and what lenses that change
+        with distance may do, shape (n, n).
+    allowance
+        This last part of it (`calib.images.joint.allowance`), shape (n, n).
     factors
         On the variances of the intrinsics of C1, of C2 (1 where given) and of the pose of C2.
     clusters
@@ -112,6 +93,7 @@ class JointSolve:
     pose_12: FloatArray
     board_warp_mm: tuple[float, float]
     covariance: FloatArray
+    allowance: FloatArray
     factors: tuple[float, float, float]
     clusters: IntArray
     sigma_px: dict[str, float]
@@ -174,7 +156,7 @@ def _evaluation(problem: JointProblem, weight: FloatArray) -> Callable[[Unknowns
     return lambda at: normals_of(problem, at, weight)
 
 
-def groups_of(images: ImagesByView) -> tuple[tuple[str, ...], IntArray]:
+def groups_of(images: ImagesOfViews) -> tuple[tuple[str, ...], IntArray]:
     """Return names of the groups, camera and kind, and that of each image, shape (i,)."""
     own = [f"c{c + 1} {kind}" for c, kind in zip(images.camera, images.kinds, strict=True)]
     names, place = np.unique(own, return_inverse=True)
@@ -212,7 +194,7 @@ def robust_sigmas(residuals: FloatArray, used: BoolArray, groups: IntArray) -> F
 
 
 def sigmas_of(
-    images: ImagesByView,
+    images: ImagesOfViews,
     reduced: Reduced,
     residuals: FloatArray,
     used: BoolArray,
@@ -258,7 +240,7 @@ def without_outliers(residuals: FloatArray, used: BoolArray, groups: IntArray) -
     return kept
 
 
-def clusters_of(images: ImagesByView, points: FloatArray) -> IntArray:
+def clusters_of(images: ImagesOfViews, points: FloatArray) -> IntArray:
     """Return the cluster of each view, shape (v,): views that repeat each other in a camera."""
     leader = np.arange(images.views)
     for c in (0, 1):
@@ -286,6 +268,9 @@ def _result(
     scale = np.ones(problem.size)
     for block, factor in zip(blocks, factors, strict=True):
         scale[block] = np.sqrt(factor)
+    covariance = spread * np.outer(scale, scale) + board_covariance(problem, reduced.at, weight)
+    images_used: BoolArray = np.asarray(used.any(axis=-1))
+    allowance = breathing_covariance(problem, reduced, images_used, max(factors))
     bow_x, bow_y = (float(v) for v in x[problem.at_bow])
     return JointSolve(
         problem=problem,
@@ -293,7 +278,8 @@ def _result(
         cameras=(problem.camera_at(x, 0), problem.camera_at(x, 1)),
         pose_12=x[problem.at_pose],
         board_warp_mm=(bow_x, bow_y),
-        covariance=spread * np.outer(scale, scale) + board_covariance(problem, reduced.at, weight),
+        covariance=covariance + allowance,
+        allowance=allowance,
         factors=(factors[0], factors[1], factors[2]),
         clusters=clusters,
         sigma_px={name: float(s) for name, s in sigma_px.items()},

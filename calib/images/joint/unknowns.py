@@ -3,12 +3,37 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from typing import Protocol
 
 import numpy as np
 
 from calib.core.arrays import FloatArray, IntArray
 from calib.geometry.camera import Camera, intrinsic_vector, with_intrinsics
 from calib.images.bundle import deformed
+
+
+class ImagesOfViews(Protocol):
+    """Images of a board by view."""
+
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        """What each was taken for."""
+
+    @property
+    def camera(self) -> IntArray:
+        """0 for C1, 1 for C2, shape (i,)."""
+
+    @property
+    def view(self) -> IntArray:
+        """Which view each shows, shape (i,)."""
+
+    @property
+    def pixels(self) -> FloatArray:
+        """Corners found, px, shape (i, corners, 2)."""
+
+    @property
+    def views(self) -> int:
+        """Number of views."""
 
 
 class LensesAndBoard:
@@ -27,6 +52,16 @@ class LensesAndBoard:
     points: FloatArray
     cameras: tuple[Camera, Camera]
     free: tuple[bool, bool]
+
+    @property
+    @abstractmethod
+    def pictured(self) -> ImagesOfViews:
+        """The images."""
+
+    @property
+    @abstractmethod
+    def size(self) -> int:
+        """Number of shared unknowns."""
 
     @property
     @abstractmethod

@@ -81,14 +81,14 @@ def as_stereo(joint: JointSolve, pairs: int, *, intrinsics: str = "free") -> Ste
     residuals = joint.residuals[: 2 * pairs]
     by_pair = residuals.reshape(pairs, 2, *residuals.shape[1:]).swapaxes(0, 1)
     at = joint.problem.at_pose
-    covariance = joint.covariance[np.ix_(at, at)]
+    inside = np.ix_(at, at)
     sigma = [s for name, s in joint.sigma_px.items() if name.endswith("pair")]
     return StereoSolve(
         backend=JOINT,
         intrinsics=intrinsics,
         pose_12=joint.pose_12,
-        covariance=covariance,
-        noise_covariance=covariance,
+        covariance=joint.covariance[inside],
+        noise_covariance=joint.covariance[inside] - joint.allowance[inside],
         dispersion=joint.factors[2],
         by_intrinsics=np.zeros((6, 0)),
         rms_px=float(np.sqrt(np.nanmean(by_pair**2))),

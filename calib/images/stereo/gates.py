@@ -230,8 +230,13 @@ def squared_difference(one: StereoSolve, two: StereoSolve, *, both: bool = False
         covariance of the first counts.
     """
     apart: FloatArray = one.pose_12 - two.pose_12
-    spread = one.covariance + two.covariance if both else one.covariance
+    spread = _by_noise(one) + _by_noise(two) if both else _by_noise(one)
     return float(apart @ np.linalg.solve(spread, apart))
+
+
+def _by_noise(solve: StereoSolve) -> FloatArray:
+    """Return the covariance of a pose without what lenses that breathe might add: (6, 6)."""
+    return solve.covariance if solve.intrinsics == "held" else solve.noise_covariance
 
 
 def difference(one: StereoSolve, two: StereoSolve) -> str:

@@ -75,10 +75,11 @@ class StereoSolve:
     pose_12
         P1 = R P2 + t: rotation vector, rad, and translation, mm, shape (6,).
     covariance
-        Of `pose_12`, with the uncertainty of the intrinsics, shape (6, 6).
+        Of `pose_12`, with the uncertainty of the intrinsics and, of the joint solve, what lenses
+        that change with distance may add, shape (6, 6).
     noise_covariance
-        The part of it that the pairs' own errors give at these intrinsics: that of independent
-        corner noise times `dispersion`, shape (6, 6).
+        Where intrinsics are held, the part of it that the pairs' own errors give at these: that of
+        independent corner noise times `dispersion`; else all but what such lenses may add, (6, 6).
     dispersion
         Variance of the pose as the pairs show it over that which independent corner noise
         explains, see `calib.images.bundle.dispersion`; 1 where it was not looked at.

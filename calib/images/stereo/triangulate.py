@@ -19,6 +19,9 @@ from calib.geometry.poses import rotated_by_vector, rotation, transform, transfo
 from calib.images.bundle import deformed, finite, inverse
 from calib.images.pairs import single_view_pose
 
+POSE_NAMES = ("r12.x", "r12.y", "r12.z", "t12.x", "t12.y", "t12.z")
+"""Names of the pose of C2 in C1: rotation vector, rad, and translation, mm."""
+
 _NEWTON_STEPS = 5
 
 
@@ -87,7 +90,7 @@ def shared_names(cameras: tuple[Camera, Camera]) -> tuple[str, ...]:
         for place, camera in zip(("c1", "c2"), cameras, strict=True)
         for name in intrinsic_names(camera)
     ]
-    return (*lenses, "r12.x", "r12.y", "r12.z", "t12.x", "t12.y", "t12.z")
+    return (*lenses, *POSE_NAMES)
 
 
 def triangulate(

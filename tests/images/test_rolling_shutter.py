@@ -89,6 +89,7 @@ def test_boards_at_rest_are_not() -> None:
         assert not fit_warnings("c1", fit, corners, scenes.BOARD)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("speed_mm", [1.0, 8.0])
 def test_intervals_hold_as_views_contradict_each_other(speed_mm: float) -> None:
     """Twelve sets, fx to cy: 48 pulls, their rms known to some 15 %. Speeds not told, and told."""

@@ -171,7 +171,7 @@ def test_devices_are_closed_and_the_motor_stopped_whatever_fails(monkeypatch):
             if fails:
                 raise Lost("no answer")
             return SimpleNamespace(
-                **dict.fromkeys(PROMISED),
+                **dict.fromkeys(PROMISED, print),
                 close=lambda: closed.append(name),
                 stop=lambda: closed.append("stop"),
             )

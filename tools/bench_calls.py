@@ -5,9 +5,9 @@ Counted is CPU time of this process, all threads, and of mrcal's. Four kinds of 
 detectors
     Decoding pictures, finding and refining boards: OpenCV.
 solvers
-    mrcal's processes, whole; OpenCV's calibrations and poses; scipy's least squares, cvxpy, emcee
-    with its autocorrelation times, importance sampling, Pareto smoothing. What they call back, such
-    as the posterior's density, belongs to them.
+    mrcal's processes, whole; OpenCV's calibrations and poses; scipy's least squares, cvxpy,
+    emcee, importance sampling, Pareto smoothing. What they call back, such as the posterior's
+    density, belongs to them.
 trials
     The Monte Carlo propagation of JCGM 101 that the certificate states.
 documents
@@ -67,7 +67,6 @@ _CALLS: tuple[tuple[str, Any, tuple[str, ...]], ...] = (
     ("solvers", scipy.optimize, ("least_squares",)),
     ("solvers", cvxpy.Problem, ("solve",)),
     ("solvers", emcee.EnsembleSampler, ("run_mcmc",)),
-    ("solvers", emcee.autocorr, ("integrated_time",)),
     ("solvers", calib.fit.importance, ("sample_importance",)),
     ("solvers", arviz_stats.base.array.array_stats, ("psislw",)),
     ("trials", calib.uncertainty.joint, ("propagate_together",)),

@@ -75,9 +75,25 @@ class GrowingFolder:
         self._write(name, text.encode())
 
     def rows(self, name: str) -> list[dict[str, str]]:
-        """Return the rows of a table; none if there is no table."""
+        """Return the rows of a table; none if there is no table.
+
+        Raises
+        ------
+        InputError
+            If a row has more or fewer cells than the table has columns.
+        """
         text = self.text(name)
-        return [] if text is None else list(csv.DictReader(io.StringIO(text)))
+        reader = csv.DictReader(io.StringIO(text or ""))
+        rows = []
+        for row in reader:
+            if None in row or None in row.values():
+                raise InputError.single(
+                    where=f"{name}, line {reader.line_num}",
+                    what=f"does not have the {len(reader.fieldnames or ())} cells of the header",
+                    remedy="complete the row, or delete it",
+                )
+            rows.append(row)
+        return rows
 
     def add_row(self, name: str, columns: Sequence[str], cells: Mapping[str, str]) -> None:
         """Add a row to a table, which is made if there is none.

@@ -219,8 +219,11 @@ def _figures(value: float, std: float) -> str:
 
 def _cause(cause: dict[str, Any]) -> str:
     """Return a diagnosed cause in one line."""
+    from calib.diagnosis.findings import scatter_words
+
     before, after = cause["noise_scale"]
+    what, expected = scatter_words(cause["seen_in"])
     return (
-        f"CAUSE  {cause['cause']}: {cause['text']} (residuals {before:.2g} times what is stated, "
+        f"CAUSE  {cause['cause']}: {cause['text']} ({what} {before:.2g} times {expected}, "
         f"{after:.2g} with it; evidence {cause['gain']:.0f} nats)"
     )

@@ -162,19 +162,25 @@ def _follow(
     table: _Table,
 ) -> None:
     """Gaze at one target once, at rest, and then follow it."""
+    from calib.capture.rows import LOST_MAX
     from calib.gaze.following import Follower
     from calib.gaze.placing import placing_for, set_swaying
-    from calib.rig.protocols import RigError
+    from calib.rig.protocols import Lost, RigError
 
     placing_for(rig, _tell).place("t01")
     table.add("t01", gazer.gaze(aiming))
     set_swaying(rig)
-    follower = Follower(gazer, aiming)
+    follower, lost = Follower(gazer, aiming), 0
     for name in (f"t{i:02d}" for i in range(2, arguments.count + 1)):
         try:
             table.add(name, follower.row(table.last_mm))
         except RigError as error:
             table.refuse(name, str(error))
+            lost = lost + 1 if isinstance(error, Lost) else 0
+            if lost == LOST_MAX:
+                raise
+        else:
+            lost = 0
 
 
 class _Table:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import signal
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -52,7 +52,8 @@ def opened(rig_file: Path | None, *, virtual_target: str | None = None) -> Itera
         try:
             yield rig
         except BaseException:
-            rig.axis.stop()
+            with suppress(Exception):  # what ended the command is what is told
+                rig.axis.stop()
             raise
 
 
@@ -61,9 +62,11 @@ def last_check(rig_file: Path | None, serial: str) -> RigCheck | None:
 
     Raises
     ------
+    RigError
+        If it found the rig unfit.
     InputError
         If the file is damaged, or is another rig's.
     """
-    from calib.rig.check_file import read_check
+    from calib.rig.check_file import fit_check
 
-    return read_check(check_path(rig_file), serial=serial)
+    return fit_check(check_path(rig_file), serial=serial)

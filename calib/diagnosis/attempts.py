@@ -56,7 +56,11 @@ SETTLED = 1e-3
 
 @dataclass(frozen=True)
 class Outcome:
-    """The best trial of a hypothesis."""
+    """The best trial of a hypothesis.
+
+    `gain` is its evidence, nats; `rival` that of an error which no hypothesis names and which is as
+    free to choose its rows.
+    """
 
     at: str | None
     refit: Refit
@@ -68,6 +72,12 @@ class Outcome:
     ids: tuple[str, ...]
     is_carried: bool = False
     mended: Observations | None = None
+    rival: float = 0.0
+
+    @property
+    def lead(self) -> float:
+        """Evidence for it above that for its rival."""
+        return self.gain - self.rival
 
 
 def best_of(hypothesis: Hypothesis, base: Base) -> Outcome | None:
@@ -98,11 +108,14 @@ def _tried(trial: Trial, hypothesis: Hypothesis, base: Base) -> Iterator[Outcome
             yield from _searched(trial, hypothesis, base)
             return
         case Loaded(loadings=loadings):
-            found = _loaded(loadings, hypothesis, base)
+            found = _loaded(loadings, _prior(hypothesis, loadings.shape[2]), base)
         case Periodic() | Distorted():
             found = _implicit(trial, hypothesis, base)
-        case TwoSided(loadings=loadings):
-            found = _two_sided(loadings, hypothesis, base)
+        case TwoSided(loadings=loadings, rival=rival, rival_std=std):
+            found = _two_sided(loadings, _prior(hypothesis, 1), base)
+            other = None if found is None else _two_sided(rival, np.full(1, std), base)
+            if found is not None and other is not None:
+                found = replace(found, rival=max(0.0, other.gain))
         case Mended():
             found = _mended(trial, base)
     if found is not None:
@@ -112,7 +125,8 @@ def _tried(trial: Trial, hypothesis: Hypothesis, base: Base) -> Iterator[Outcome
 def _searched(trial: Search, hypothesis: Hypothesis, base: Base) -> Iterator[Outcome]:
     gains = base.linear.gains(trial.column, trial.patterns)
     for place in np.argsort(-gains, kind="stable")[:REFITTED]:
-        found = _loaded(trial.loadings(int(place)), hypothesis, base)
+        loadings = trial.loadings(int(place))
+        found = _loaded(loadings, _prior(hypothesis, loadings.shape[2]), base)
         if found is not None:
             yield replace(found, at=trial.at[place])
 
@@ -122,9 +136,9 @@ def _prior(hypothesis: Hypothesis, count: int) -> FloatArray:
 
 
 def _loaded(
-    loadings: FloatArray, hypothesis: Hypothesis, base: Base, start: FloatArray | None = None
+    loadings: FloatArray, prior_std: FloatArray, base: Base, start: FloatArray | None = None
 ) -> Outcome | None:
-    extra = Added(loadings, _prior(hypothesis, loadings.shape[2]))
+    extra = Added(loadings, prior_std)
     found = base.setting.refit(base.refit.theta, base.refit.scale, extra, start)
     if found is None:
         return None
@@ -142,7 +156,7 @@ def _implicit(trial: Periodic | Distorted, hypothesis: Hypothesis, base: Base) -
     rows = base.looked.rows
     loadings, best = trial.loadings(rows.gaze), None
     for _ in range(IMPLICIT_ROUNDS):
-        found = _loaded(loadings, hypothesis, base)
+        found = _loaded(loadings, _prior(hypothesis, loadings.shape[2]), base)
         if found is None:
             break
         if best is None or found.gain > best.gain:
@@ -153,7 +167,7 @@ def _implicit(trial: Periodic | Distorted, hypothesis: Hypothesis, base: Base) -
     return best
 
 
-def _two_sided(loadings: FloatArray, hypothesis: Hypothesis, base: Base) -> Outcome | None:
+def _two_sided(loadings: FloatArray, prior_std: FloatArray, base: Base) -> Outcome | None:
     """Return the fit with each row on the side where it fits better.
 
     The evidence counts both sides of each row: nobody said on which it is.
@@ -163,7 +177,7 @@ def _two_sided(loadings: FloatArray, hypothesis: Hypothesis, base: Base) -> Outc
     push = np.einsum("nq,nqk->n", base.linear.by_observable, loadings)
     side, found, half = base.linear.sides(push), None, push
     for _ in range(SIDES_ROUNDS):
-        found = _loaded(loadings * side[:, None, None], hypothesis, base)
+        found = _loaded(loadings * side[:, None, None], prior_std, base)
         if found is None:
             return None
         half = push * found.values[0]

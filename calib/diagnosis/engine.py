@@ -121,7 +121,7 @@ class Tried:
         """The decisive hypotheses, best first: those nearly as good as the best."""
         if self.first is not None:
             return (self.first,)
-        decisive = [n for n in self.ranked if self.outcomes[n].gain >= DECISIVE]
+        decisive = [n for n in self.ranked if self.outcomes[n].lead >= DECISIVE]
         return tuple(
             name
             for place, name in enumerate(decisive)

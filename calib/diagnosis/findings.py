@@ -18,6 +18,17 @@ MATTERS = 1.0
 SeenIn = Literal["rows", "references", "both"]
 
 
+def scatter_words(seen_in: SeenIn) -> tuple[str, str]:
+    """Return what a cause's noise scale is of, and what it is relative to.
+
+    Where independent references took part, it is theirs: over a scatter that the residuals of the
+    rows have widened already.
+    """
+    if seen_in == "rows":
+        return "residuals", "what is stated"
+    return "errors of independent depths and lengths", "what the calibration leads to expect"
+
+
 @dataclass(frozen=True)
 class Attempt:
     """A hypothesis as the rows have it.
@@ -70,7 +81,7 @@ class Cause(Attempt):
     Parameters
     ----------
     noise_scale
-        Without and with it.
+        Without and with it, of what `scatter_words` says.
     effect
         Largest change of a depth by it, over the depth's standard uncertainty.
     is_carried

@@ -153,7 +153,7 @@ class Task:
 def _gain(tried: Tried, name: str, second: Tried | None) -> float:
     """Return the evidence for a cause and the best one beside it, nats."""
     beside = 0.0 if second is None else second.outcomes[second.named[0]].gain
-    return tried.outcomes[name].gain + beside
+    return tried.outcomes[name].lead + beside
 
 
 def _unexplained(tried: Tried, second: Tried | None) -> bool:

@@ -16,6 +16,9 @@ from calib.rows.observations import Observations
 DEG = float(np.deg2rad(1.0))
 GON = 0.9 * DEG
 
+TYPICAL_DEPTH_SHARE = 0.03
+"""By this share reference depths are wrong that belong to others, as a rule."""
+
 LEAST_RUN = 3
 """Rows on either side of a change: an outlier or two are no change."""
 
@@ -91,13 +94,21 @@ class Distorted:
 class TwoSided:
     """An error by which each row is off to one of two sides, nobody knows which.
 
+    Rows in two classes nobody stated can be made of any few that are off, whatever of them is.
+
     Parameters
     ----------
     loadings
         As of the upper side, shape (n, 5, 1).
+    rival
+        Of another error of two sides, shape (n, 5, 1): evidence is counted against it, too.
+    rival_std
+        Standard deviation of its prior.
     """
 
     loadings: FloatArray
+    rival: FloatArray
+    rival_std: float
 
 
 @dataclass(frozen=True)
@@ -200,7 +211,11 @@ def backlash(seen: Looked) -> tuple[Trial, ...]:
     side = np.zeros(len(session))
     side[order[1:]] = moved
     by_order = Loaded(on_column(OBSERVABLE.alpha2, side[:, None] / 2))
-    either = TwoSided(on_column(OBSERVABLE.alpha2, np.full((len(session), 1), 0.5)))
+    either = TwoSided(
+        on_column(OBSERVABLE.alpha2, np.full((len(session), 1), 0.5)),
+        rival=on_column(OBSERVABLE.z, 0.5 * seen.rows.z_mm[:, None]),
+        rival_std=TYPICAL_DEPTH_SHARE,
+    )
     return (by_order, either)
 
 

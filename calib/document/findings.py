@@ -24,7 +24,10 @@ class CausePart(Part):
     gain: float = Field(
         description="evidence, nats: gain in log marginal likelihood less penalties"
     )
-    noise_scale: tuple[float, float] = Field(description="without and with it")
+    noise_scale: tuple[float, float] = Field(
+        description="without and with it: residuals over what is stated; where references took "
+        "part, their errors over what the calibration leads to expect"
+    )
     depth_change_over_u: float = Field(description="largest, if it is left out")
     in_model: bool = Field(description="whether the model allows for it already")
     text: str = Field(description="what it is, in words")

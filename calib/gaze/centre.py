@@ -175,7 +175,8 @@ def decide(
     if state.moves >= law.moves_max:
         raise Refused(
             f"after {state.moves} moves the target is still {_deg(residual_rad)} off C2's centre "
-            "column; does it move, is step_deg right, does the encoder count the right way?"
+            "column; does it move, is step_deg right, does the encoder count the right way, has "
+            "the drive more play than overshoot_steps?"
         )
     return _moved(state, reading_rad + law.step_rad * round(residual_rad / law.step_rad))
 

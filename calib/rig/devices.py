@@ -21,10 +21,11 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, Final
 
-from calib.core.errors import CalibError, UsageError
+from calib.core.errors import UsageError
+from calib.rig import foreign
 from calib.rig.clock import Clock, HostClock, SimulatedClock
 from calib.rig.protocols import Camera, YawAxis
-from calib.rig.registry import axis_driver, camera_driver
+from calib.rig.registry import AXES, CAMERAS, axis_driver, camera_driver, is_foreign
 from calib.rig.settings import AxisSection, CameraSection, RigSettings
 from calib.rig.virtual.world import World
 
@@ -82,11 +83,21 @@ def open_rig(settings: RigSettings) -> Iterator[RigDevices]:
         sections = (("c1", settings.cameras.c1), ("c2", settings.cameras.c2))
         for role, section in sections:
             driver = camera_driver(section.driver, where=f"rig.toml, [cameras.{role}] driver")
-            camera = driver(_handed(section, role, settings, clock, world))
+            handed = _handed(section, role, settings, clock, world)
+            camera = (
+                foreign.open_camera(driver, handed, f"cameras.{role}")
+                if is_foreign(CAMERAS, section.driver)
+                else driver(handed)
+            )
             opened.callback(camera.close)
             cameras.append(camera)
         opener = axis_driver(settings.axis.driver, where="rig.toml, [axis] driver")
-        axis = opener(_handed(settings.axis, "axis", settings, clock, world))
+        handed = _handed(settings.axis, "axis", settings, clock, world)
+        axis = (
+            foreign.open_axis(opener, handed, "axis")
+            if is_foreign(AXES, settings.axis.driver)
+            else opener(handed)
+        )
         opened.callback(axis.close)
         opened.enter_context(stopping(axis))
         yield RigDevices(settings, cameras[0], cameras[1], axis, clock, world)
@@ -131,7 +142,7 @@ def stopping(axis: YawAxis) -> Iterator[None]:
     former = {each: signal.getsignal(each) for each in SIGNALS}
 
     def stop_first(number: int, at: FrameType | None) -> None:
-        with suppress(CalibError, OSError):
+        with suppress(Exception):  # the signal's own end comes all the same
             axis.stop()
         then = former[signal.Signals(number)]
         if callable(then):

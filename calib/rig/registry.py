@@ -44,6 +44,11 @@ def axis_driver(name: str, *, where: str) -> AxisDriver:
     return cast(AxisDriver, _load(AXES, name, where))
 
 
+def is_foreign(group: str, name: str) -> bool:
+    """Return whether a driver comes from another package."""
+    return name not in {point.name for point in BUILT_IN if point.group == group}
+
+
 def _load(group: str, name: str, where: str) -> object:
     points = (*entry_points(group=group), *(p for p in BUILT_IN if p.group == group))
     found = {point.name: point for point in points}

@@ -10,10 +10,10 @@ from __future__ import annotations
 
 import math
 import threading
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Final, Literal, Protocol
 
-from calib.core.errors import CalibError
 from calib.rig.clock import NS_PER_S, Clock, wait
 from calib.rig.protocols import (
     Interrupted,
@@ -318,7 +318,5 @@ class SteppedAxis:
 
     def _halt(self) -> None:
         """Stop after a failure without hiding it."""
-        try:
+        with suppress(Exception):
             self._controller.stop()
-        except (CalibError, OSError):
-            return

@@ -78,3 +78,11 @@ def test_an_id_is_used_once_and_no_picture_twice(tmp_path):
         assert next_name(capture) == "g02"
         folder.picture("gaze/c2/g02.png", np.zeros((4, 6), np.uint8))  # somebody's
         assert next_name(capture) == "g03"
+
+
+@pytest.mark.parametrize("row", ["g02,1,2", "g02"])
+def test_a_row_with_other_cells_than_the_header_is_named(tmp_path, row):
+    with growing(tmp_path / "mine") as folder:
+        folder.write_text("gaze.csv", f"id,z_mm\ng01,1\n{row}\n")
+        with pytest.raises(InputError, match=r"gaze.csv, line 3: does not have the 2 cells"):
+            folder.add_row("gaze.csv", ["id", "z_mm"], {"id": "g03", "z_mm": "3"})

@@ -16,6 +16,8 @@ from faulty_rigs import fitted, tried_on
 from calib.diagnosis.engine import Tried
 from calib.diagnosis.hypotheses import HYPOTHESES
 from calib.diagnosis.session import RowHistory, row_history
+from calib.fit.priors import Priors
+from calib.fit.robust import fit_model
 from calib.mirror.problem import Mirror
 from calib.rows.common_errors import Shared
 from calib.simulate.faults import FAULTS
@@ -41,6 +43,19 @@ def test_a_mistake_is_named_first(fault: str, tmp_path: Path) -> None:
     assert tried_on(tmp_path, fault).named[0] == fault
 
 
+@pytest.mark.parametrize(("rows", "wrong"), [(12, 3), (24, 8)])
+def test_some_wrong_depths_are_no_backlash(rows: int, wrong: int, tmp_path: Path) -> None:
+    """Negative control: rows that fall into two classes are not of two sides of approach."""
+    seen, priors, _, dataset = fitted(tmp_path, seed=2, rows=rows)
+    z = seen.z_mm.copy()
+    z[np.random.default_rng(2).choice(rows, wrong, replace=False)] *= 1.06
+    spoilt = replace(seen, z_mm=z)
+    fit = fit_model(spoilt, priors, model="axis-offset")
+    found = Tried.of(spoilt, priors, fit, row_history(dataset), is_left=False)
+    assert found is not None
+    assert "backlash" not in found.named
+
+
 def test_a_reference_from_the_front_of_a_lens_is_named(tmp_path: Path) -> None:
     assert tried_on(tmp_path, "reference-offset", 60.0).named[0] == "reference-offset"
 
@@ -48,9 +63,6 @@ def test_a_reference_from_the_front_of_a_lens_is_named(tmp_path: Path) -> None:
 def test_an_offset_that_the_model_allows_for_is_named_as_such(tmp_path: Path) -> None:
     rows, priors, fit, dataset = fitted(tmp_path, "reference-offset", 60.0)
     del fit
-    from calib.fit.priors import Priors
-    from calib.fit.robust import fit_model
-
     free = Priors({**priors.stated, "reference_offset_mm": (0.0, 50.0)})
     refit = fit_model(rows, free, model="axis-offset")
     found = Tried.of(rows, free, refit, row_history(dataset), is_left=False)

@@ -74,6 +74,8 @@ def test_whoever_uses_a_failed_run_is_told(
     gates = json.loads((runs.failed / "calibration.json").read_text())["gates"]
     failed = [gate["name"] for gate in gates if not gate["passed"]]
     assert "residuals" in failed
+    causes = json.loads((runs.failed / "calibration.json").read_text())["diagnosis"]
+    assert "backlash" not in {cause["cause"] for cause in causes}
     readings = tmp_path / "readings.csv"
     readings.write_text("id,x1c,y1c,alpha2_deg\na,0.10,0.05,86.4\n")
     calibration = str(runs.failed / "calibration.json")

@@ -8,9 +8,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from report_examples import paper
 
-from calib.diagnosis.findings import Cause, Diagnosis
+from calib.diagnosis.findings import Cause, Diagnosis, SeenIn
 from calib.report.figures.diagnosis import draw_cause
 from calib.report.page import render_report
 
@@ -42,7 +43,17 @@ def test_a_cause_is_said_with_remedy_and_effect() -> None:
     assert "From row c13 on alpha2 reads 0.250 +- 0.012 deg more than before" in page
     assert STEP.hypothesis.remedy in page
     assert "moves a depth by up to 7.2 of its u" in page
-    assert "4.1 times what is stated without it, 0.92 times with it" in page
+    assert "residuals are 4.1 times what is stated without it, 0.92 times with it" in page
+
+
+@pytest.mark.parametrize("seen_in", ["references", "both"])
+def test_scatter_of_references_is_no_residual_of_rows(seen_in: SeenIn) -> None:
+    """Theirs is over what the rows have widened: another figure than that of gate `residuals`."""
+    cause = replace(STEP, seen_in=seen_in)
+    page = report(Diagnosis("base", (cause,), (cause,)))
+    said = "4.1 times what the calibration leads to expect without it, 0.92 times with it"
+    assert f"errors of independent depths and lengths are {said}" in page
+    assert "times what is stated" not in page
 
 
 def test_causes_that_cannot_be_distinguished_name_each_other() -> None:

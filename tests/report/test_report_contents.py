@@ -15,10 +15,12 @@ from page_parts import decoded, keys, table
 from report_examples import everything, images, paper
 
 from calib.report import plotting
+from calib.report.numbers import plus_minus
 from calib.report.page import render_report
 from calib.report.sections.board_pictures import LEFT_OUT, picture_sheets
 from calib.report.sections.intrinsics import _pictures
 from calib.results.effective_baseline import effective_baseline
+from calib.results.headline import headline
 
 
 def test_depth_table_holds_the_results(page: html.HtmlElement) -> None:
@@ -63,6 +65,20 @@ def test_parameter_tables_hold_the_posterior(page: html.HtmlElement) -> None:
         assert (derived is None) == (model == "base")
         if derived is not None:
             assert keys(rows[free : free + 1], 2) == [derived[0]]
+
+
+def test_the_place_of_the_yaw_axis_has_one_value(page: html.HtmlElement) -> None:
+    found = headline(everything()[0].gaze)
+    assert found is not None
+    i = found.names.index("axis_z_mm")
+    stated = plus_minus(found.values[i], found.covariance[i, i] ** 0.5)
+    verdict, residuals, linear = (
+        page.xpath(f"//section[@id='{name}']")[0].text_content()
+        for name in ("verdict", "residuals", "linear")
+    )
+    assert f"{stated} mm" in verdict
+    assert f"C1's optical centre (Za = {stated} mm)" in residuals
+    assert f"By axis-offset it is {stated} mm." in linear
 
 
 def test_what_the_rows_can_tell_is_said_in_words_and_figures(page: html.HtmlElement) -> None:

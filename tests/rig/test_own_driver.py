@@ -45,6 +45,13 @@ step_deg = 0.05
 """
 
 
+PROMISED = (
+    "identity", "image_size", "after", "latest", "resolution_rad", "step_rad", "range_rad",
+    "move", "standstill", "home",
+)  # fmt: skip
+"""What cameras and axes have beside `close` and `stop`."""
+
+
 class Device:
     """A camera of the maker's library; its first answer was left over in a queue."""
 
@@ -124,7 +131,7 @@ def test_a_labs_own_drivers_make_up_a_rig():
         assert frame.exposed_ns > standing.since_ns
         assert frame.serial == 2, "the picture left over is passed over"
         assert rig.axis.home().home == "9, 1"
-        device = rig.c2.device
+        device = rig.c2.camera.device
     assert not device.open
 
 
@@ -164,7 +171,9 @@ def test_devices_are_closed_and_the_motor_stopped_whatever_fails(monkeypatch):
             if fails:
                 raise Lost("no answer")
             return SimpleNamespace(
-                close=lambda: closed.append(name), stop=lambda: closed.append("stop")
+                **dict.fromkeys(PROMISED, print),
+                close=lambda: closed.append(name),
+                stop=lambda: closed.append("stop"),
             )
 
         return open_it

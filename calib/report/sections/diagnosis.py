@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from calib.diagnosis.engine import DECISIVE
-from calib.diagnosis.findings import Attempt, Cause, Diagnosis
+from calib.diagnosis.findings import Attempt, Cause, Diagnosis, scatter_words
 from calib.diagnosis.structure import structured
 from calib.report.blocks import Block, Items, Notice, Paragraph, Section, number, table, words
 from calib.report.context import ReportContext
@@ -61,9 +61,10 @@ def _finding(found: Diagnosis) -> str:
         )
     first = found.causes[0]
     before, after = first.noise_scale
+    what, expected = scatter_words(first.seen_in)
     text = (
         f"Of {count} mistakes that are often made, {first.name} explains {_looked_at(first)} best: "
-        f"residuals are {before:.2g} times what is stated without it, {after:.2g} times with it."
+        f"{what} are {before:.2g} times {expected} without it, {after:.2g} times with it."
     )
     if found.others(first):
         text += " Others explain them about as well; a measurement that distinguishes is named."

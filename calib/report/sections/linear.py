@@ -7,7 +7,6 @@ from markupsafe import Markup
 
 from calib.fit.convex import ConvexFit
 from calib.fit.linear import LinearFit
-from calib.fit.robust import RobustFit
 from calib.report.blocks import EMPTY, Block, Cell, Paragraph, Section, Table, Text, table, words
 from calib.report.context import ReportContext
 from calib.report.numbers import (
@@ -20,7 +19,7 @@ from calib.report.numbers import (
     symbol,
     unit,
 )
-from calib.report.sections.pick import chosen_fit
+from calib.report.sections.pick import axis_z_mm, instrument_of_record
 from calib.results.calibration import Calibration, GazeResult
 from calib.uncertainty.format import fixed, significant
 
@@ -42,7 +41,7 @@ def linear(c: Calibration, _: ReportContext) -> Section | None:
         _table(gaze),
     ]
     if gaze.linear is not None:
-        blocks.append(Paragraph(_third_unknown(gaze.linear, chosen_fit(gaze))))
+        blocks.append(Paragraph(_third_unknown(gaze, gaze.linear)))
     return Section("linear", "Linear and convex calibration", tuple(blocks))
 
 
@@ -111,16 +110,14 @@ def _proof(fit: ConvexFit) -> list[tuple[Cell, ...]]:
     ]
 
 
-def _third_unknown(linear: LinearFit, chosen: RobustFit | None) -> Text:
+def _third_unknown(gaze: GazeResult, linear: LinearFit) -> Text:
     text = Markup(
         "The third unknown should be the product of the other two; it came out {} mm away from it. "
         "In the exact geometry with <i>e</i> = 0 this distance is no slip of arithmetic: it is "
         "<i>Z</i><sub>a</sub> (1 + tan² <i>δ</i><sub>2</sub>), where the yaw axis stands. It "
         "implies <i>Z</i><sub>a</sub> = {} mm."
     ).format(fixed(linear.inconsistency_mm, 1), signed(fixed(linear.implied_axis_z_mm, 1)))
-    if chosen is not None and "axis_z_mm" in chosen.names:
-        i = chosen.names.index("axis_z_mm")
-        text += Markup(" Model <em>{}</em> finds {} mm.").format(
-            chosen.model, plus_minus(chosen.values[i], float(np.sqrt(chosen.covariance[i, i])))
-        )
+    found = axis_z_mm(gaze)
+    if found is not None:
+        text += Markup(" By {} it is {} mm.").format(instrument_of_record(gaze), plus_minus(*found))
     return text

@@ -10,6 +10,9 @@ from calib.geometry.plane import OBSERVABLE
 from calib.instrument.adjusted import ADJUSTMENT
 from calib.report.plotting import thinned
 from calib.results.calibration import GazeResult
+from calib.results.headline import headline
+
+AXIS_Z = "axis_z_mm"
 
 TABLE_ROWS = 200
 """Rows of a table; more make the page slow and nobody reads them."""
@@ -45,6 +48,15 @@ def chosen_fit(gaze: GazeResult) -> RobustFit | None:
     """Return the fit of the selected model."""
     name = selected(gaze)
     return None if name is None else gaze.robust.get(name)
+
+
+def axis_z_mm(gaze: GazeResult) -> tuple[float, float] | None:
+    """Return Z of the yaw axis with its u, mm, as verdict and certificate state it."""
+    of_record = headline(gaze)
+    if of_record is None or AXIS_Z not in of_record.names:
+        return None
+    i = of_record.names.index(AXIS_Z)
+    return float(of_record.values[i]), float(np.sqrt(of_record.covariance[i, i]))
 
 
 def reading_mrad(gaze: GazeResult) -> float:

@@ -15,7 +15,14 @@ from calib.report.figures.residuals import (
 )
 from calib.report.numbers import decimals, digits, plus_minus
 from calib.report.plotting import picture
-from calib.report.sections.pick import chosen_fit, contrasted, reading_mrad
+from calib.report.sections.pick import (
+    AXIS_Z,
+    axis_z_mm,
+    chosen_fit,
+    contrasted,
+    instrument_of_record,
+    reading_mrad,
+)
 from calib.results.calibration import Calibration, GazeResult
 from calib.uncertainty.format import significant
 
@@ -100,19 +107,20 @@ def _encoder(gaze: GazeResult, step: float | None, reading: float) -> str:
 
 
 def _axis(gaze: GazeResult) -> Text:
-    """Return where the yaw axis stands, if the selected model says so and the data decided it."""
-    fit = chosen_fit(gaze)
-    if fit is None or "axis_z_mm" not in fit.names:
+    """Return where the yaw axis stands, as certified, if the data decided it."""
+    fit, found = chosen_fit(gaze), axis_z_mm(gaze)
+    if fit is None or found is None or AXIS_Z not in fit.names:
         return ""
-    i = fit.names.index("axis_z_mm")
-    if fit.identified_by[i] == "prior":
+    if fit.identified_by[fit.names.index(AXIS_Z)] == "prior":
         return ""
-    value, u = float(fit.values[i]), float(fit.covariance[i, i] ** 0.5)
+    value, u = found
     side = "behind" if value < 0 else "in front of"
     return Markup(
-        " Where <em>base</em> takes the yaw axis to stand level with C1, <em>{}</em> finds it {} "
-        "mm {} C1's optical centre (<i>Z</i><sub>a</sub> = {} mm)."
-    ).format(fit.model, significant(abs(value), digits=2), side, plus_minus(value, u))
+        " Where <em>base</em> takes the yaw axis to stand level with C1, {} finds it {} mm "
+        "{} C1's optical centre (<i>Z</i><sub>a</sub> = {} mm)."
+    ).format(
+        instrument_of_record(gaze), significant(abs(value), digits=2), side, plus_minus(value, u)
+    )
 
 
 def _scatter(gaze: GazeResult) -> dict[str, float]:

@@ -62,9 +62,11 @@ def last_check(rig_file: Path | None, serial: str) -> RigCheck | None:
 
     Raises
     ------
+    RigError
+        If it found the rig unfit.
     InputError
         If the file is damaged, or is another rig's.
     """
-    from calib.rig.check_file import read_check
+    from calib.rig.check_file import fit_check
 
-    return read_check(check_path(rig_file), serial=serial)
+    return fit_check(check_path(rig_file), serial=serial)

@@ -23,7 +23,7 @@ from calib.live.guarded import GuardedAxis
 from calib.live.hand import PageHand
 from calib.live.record import Record
 from calib.live.scene import rig_scene
-from calib.rig.check_file import check_path, read_check
+from calib.rig.check_file import check_path, fit_check
 from calib.rig.devices import RigDevices
 from calib.rig.known import Role, known_board, known_lens
 
@@ -179,7 +179,7 @@ class Bench:
 
     def gazer(self, at: Target, lens_c2: Camera, lens_c1: Camera | None = None) -> Gazer:
         """Return the rig ready to gaze at a target, as its last check found it."""
-        check = read_check(check_path(self.places.rig_file), serial=self.rig.serial)
+        check = fit_check(check_path(self.places.rig_file), serial=self.rig.serial)
         return Gazer(
             rig=self.rig,
             target=at,

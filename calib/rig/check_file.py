@@ -9,6 +9,7 @@ from typing import Annotated, Final, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from calib.core.errors import InputError
+from calib.rig.protocols import RigError
 
 FILE: Final = "rig-check.json"
 LIMIT_BYTES: Final = 1_000_000
@@ -117,4 +118,21 @@ def read_check(path: Path, *, serial: str) -> RigCheck | None:
         raise InputError.single(
             where=str(path), what=f"is of rig {found.serial}, not of {serial}", remedy=remedy
         )
+    return found
+
+
+def fit_check(path: Path, *, serial: str) -> RigCheck | None:
+    """Return what a rig-check.json says of a rig that is fit; None if there is none.
+
+    Raises
+    ------
+    RigError
+        If the check found what spoils rows.
+    InputError
+        As `read_check`.
+    """
+    found = read_check(path, serial=serial)
+    if found is not None and found.failed:
+        details = "; ".join(f"{one.name}: {one.detail}" for one in found.failed)
+        raise RigError(f"{path}: the rig is not fit: {details}; then run `calib rig check` again")
     return found

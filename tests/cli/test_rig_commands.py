@@ -137,6 +137,12 @@ def refused_rigs(call, lab, calibration):
     assert "[virtual] target" in done.err
     assert done.status == 3
     assert "C1 does not see the target cross" in rows(done.out)[0]["status"]
+    unfit = CHECK | {"checks": [{"name": "frame age", "passed": False, "detail": "old"}]}
+    (lab / "rig-check.json").write_text(json.dumps(unfit))
+    done = call("gaze", calibration, "--rig", "rig.toml", "--accept-failed")
+    assert done.status == 3
+    assert "rig-check.json: the rig is not fit: frame age: old; then run" in done.err
+    (lab / "rig-check.json").write_text(json.dumps(CHECK))
 
 
 def test_a_capture_goes_on_where_it_ended_and_counts_what_is_there(lab, call):

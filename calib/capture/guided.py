@@ -14,6 +14,7 @@ from calib.capture.shutter import Finder, View
 from calib.capture.writer import GrowingFolder
 from calib.core.errors import EstimationError
 from calib.core.version import __version__
+from calib.core.words import counted
 from calib.geometry.board import Board
 from calib.images.detection.picture import Grey
 from calib.rig.clock import NS_PER_S
@@ -34,8 +35,12 @@ class Guide(Protocol):
     """Knows what the pictures so far say, and which one to take next."""
 
     @property
+    def noun(self) -> str:
+        """What is counted: pictures, pairs, or placements of the board."""
+
+    @property
     def count(self) -> int:
-        """Pictures so far."""
+        """How many so far."""
 
     @property
     def u(self) -> float:
@@ -114,9 +119,10 @@ class Shot:
 
 @dataclass(frozen=True)
 class Ended:
-    """How a capture ended: pictures, what is known, what is needed, and whether it is enough."""
+    """How a capture ended: what was counted, what is known and needed, whether it is enough."""
 
     count: int
+    noun: str
     u: float
     needed: float
     unit: str
@@ -125,7 +131,8 @@ class Ended:
     @property
     def words(self) -> str:
         """In a line."""
-        return f"{self.count} pictures, u {self.u:.2g} {self.unit} of {self.needed:.2g} needed"
+        known = f"u {self.u:.2g} {self.unit} of {self.needed:.2g} needed"
+        return f"{counted(self.count, self.noun)}, {known}"
 
 
 Taken = Callable[[Mapping[Role, Shot]], None]
@@ -151,7 +158,7 @@ def capture_guided(guided: Guided, guide: Guide, roles: tuple[Role, ...], taken:
         taken(shots)
         refused = 0
     guided.show(None, {}, "")
-    return Ended(guide.count, guide.u, guide.needed, guide.unit, guide.is_done)
+    return Ended(guide.count, guide.noun, guide.u, guide.needed, guide.unit, guide.is_done)
 
 
 def await_view(

@@ -13,6 +13,7 @@ from calib.cli.guided_capture import DATASET
 from calib.cli.rig_options import add_rig, opened
 from calib.cli.voice import add_voice, print_json
 from calib.core.errors import harmless
+from calib.core.words import counted
 
 DONE, NOT_ALL = 0, 3
 
@@ -106,7 +107,9 @@ def _run(arguments: argparse.Namespace) -> int:
         told = {"table": capture.table, "rows": ended.rows, "refused": ended.refused}
         print_json({"dataset": str(arguments.dataset), **told})
     elif not arguments.quiet:
-        print(f"{harmless(str(arguments.dataset))}: {ended.rows} rows in {capture.table}")
+        print(
+            f"{harmless(str(arguments.dataset))}: {counted(ended.rows, 'row')} in {capture.table}"
+        )
     if ended.rows < arguments.count:
         _tell(f"calib: {ended.refused} targets were refused, the last ones in a row: see above")
         return NOT_ALL

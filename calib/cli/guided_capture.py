@@ -26,6 +26,8 @@ DATASET = OutputKind(
     is_dataset=True,
 )
 
+COUNTED = {"intrinsics": "pictures", "stereo": "pairs", "sweep": "placements of the board"}
+
 KINDS = {
     "intrinsics": "each camera's own pictures of the board",
     "stereo": "pictures of one board by both cameras",
@@ -46,7 +48,7 @@ def add_commands(commands: Any) -> None:
             )  # fmt: skip
         add.add_argument(
             "--count", type=positive, default=None, metavar="N",
-            help="pictures after which to end even if more are needed; default: 40",
+            help=f"{COUNTED[kind]} after which to end even if more are needed; default: 40",
         )  # fmt: skip
         add.add_argument(
             "--depths", type=depth, nargs=2, metavar=("NEAR", "FAR"),

@@ -66,7 +66,6 @@ def run(arguments: argparse.Namespace) -> int:
     minded = warn_of_failed(
         arguments.calibration, measuring.failed_gates, accepted=arguments.accept_failed
     )
-    status = "gate failed" if minded else "ok"
     refused = 0
     with opened(arguments.rig, virtual_target=PLATE) as rig, writer(arguments.out) as put:
         write = as_json_lines(put) if arguments.json else put
@@ -86,7 +85,7 @@ def run(arguments: argparse.Namespace) -> int:
                 _tell(f"calib: {name}: {error}")
                 write(refused_line(name, ends, str(error)))
             else:
-                write(line(name, ends, found, status=status))
+                write(line(name, ends, found, gate_failed=bool(minded)))
     return NOT_ALL if refused or minded else DONE
 
 

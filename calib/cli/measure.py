@@ -134,7 +134,13 @@ def _lengths(
     failed = bool(measuring.failed_gates) and not arguments.accept_failed
     repeated = {name for name, count in Counter(block.ids).items() if count > 1}
     pairs = read_pairs(arguments.lengths)
-    rows, none = out.length_rows(measured, pairs, gate_failed=failed, repeated=repeated)
+    rows, none = out.length_rows(
+        measured,
+        pairs,
+        calibrated_mm=measuring.calibrated_mm,
+        gate_failed=failed,
+        repeated=repeated,
+    )
     write(out.csv_text([out.LENGTH_COLUMNS]) + rows)
     tally.failed = max(tally.failed, none)
     if arguments.model == SELECTED and (note := doubt(measuring, measured, block.table)):

@@ -11,7 +11,7 @@ from calib.gaze.measured import positions
 from calib.gaze.row import GazeRow, refuse_moved
 from calib.gaze.target import Target
 from calib.instrument.calibration_file import Measuring
-from calib.instrument.measured_text import csv_text
+from calib.instrument.measured_text import csv_text, is_extrapolated, status_of
 from calib.instrument.measuring import Positions
 from calib.rig.protocols import Refused
 
@@ -35,12 +35,19 @@ class GazedLength:
         Of both.
     length_mm, u_mm
         Their distance and its standard uncertainty, mm.
+    is_extrapolated
+        Whether an end lies outside the depths that were calibrated.
     """
 
     rows: tuple[GazeRow, GazeRow]
     positions: Positions
     length_mm: float
     u_mm: float
+    is_extrapolated: bool
+
+    def status(self, *, gate_failed: bool) -> str:
+        """Return what is to be minded of it, or that nothing is."""
+        return status_of(self.is_extrapolated, gate_failed=gate_failed)
 
 
 def gaze_length(
@@ -64,7 +71,8 @@ def gaze_length(
     for i, why in sorted(found.faults.items()):
         raise Refused(f"{ends[i].name}: {why}")
     length, u = found.length(0, 1)
-    return GazedLength((rows[0], rows[1]), found, length, u)
+    outside = is_extrapolated(found.position_mm[:, 2], measuring.calibrated_mm)
+    return GazedLength((rows[0], rows[1]), found, length, u, outside)
 
 
 def header() -> str:
@@ -72,11 +80,12 @@ def header() -> str:
     return csv_text([COLUMNS])
 
 
-def line(name: str, ends: tuple[Target, Target], found: GazedLength, *, status: str) -> str:
+def line(name: str, ends: tuple[Target, Target], found: GazedLength, *, gate_failed: bool) -> str:
     """Return the line of a length."""
     half = COVERAGE * found.u_mm
     z = found.positions.position_mm[:, 2]
     values = (found.length_mm, found.u_mm, found.length_mm - half, found.length_mm + half, *z)
+    status = found.status(gate_failed=gate_failed)
     cells = (name, ends[0].name, ends[1].name, *(f"{value:.4f}" for value in values), status)
     return csv_text([cells])
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from calib.gaze.row import GazeRow
-from calib.instrument.measured_text import EXTRAPOLATED, GATE_FAILED, OK, POSITION_COLUMNS, csv_text
+from calib.instrument.measured_text import POSITION_COLUMNS, csv_text, is_extrapolated, status_of
 from calib.instrument.measuring import Positions
 
 COVARIANCE = ("xx", "xy", "xz", "yy", "yz", "zz")
@@ -47,9 +47,7 @@ def line(
     """
     if position.faults:
         return refused(name, position.faults[0])
-    z = float(position.position_mm[0, 2])
-    outside = not calibrated_mm[0] <= z <= calibrated_mm[1]
-    words = [EXTRAPOLATED] * outside + [GATE_FAILED] * gate_failed
+    outside = is_extrapolated(position.position_mm[:, 2], calibrated_mm)
     numbers = [
         *position.position_mm[0], *position.std_mm[0], position.low95_mm[0], position.high95_mm[0],
     ]  # fmt: skip
@@ -62,7 +60,7 @@ def line(
                 ("no", "yes")[outside],
                 *(f"{number:.8g}" for number in covariance),
                 *_read(row),
-                ", ".join(words) or OK,
+                status_of(outside, gate_failed=gate_failed),
             )
         ]
     )

@@ -7,6 +7,9 @@ import io
 import math
 from collections.abc import Iterable, Sequence, Set
 
+import numpy as np
+
+from calib.core.arrays import FloatArray
 from calib.core.errors import harmless as escaped
 from calib.dataset.readings import ReadingBlock
 from calib.dataset.tables import LengthTable
@@ -23,6 +26,18 @@ LENGTH_COLUMNS = (
     "reference_mm", "u_reference_mm", "error_mm", "status",
 )  # fmt: skip
 OK, EXTRAPOLATED, GATE_FAILED = "ok", "extrapolated", "gate failed"
+
+
+def is_extrapolated(z_mm: FloatArray, calibrated_mm: tuple[float, float]) -> bool:
+    """Return whether any of the depths, shape (n,), lies outside those calibrated."""
+    near, far = calibrated_mm
+    return not bool(np.all((z_mm >= near) & (z_mm <= far)))
+
+
+def status_of(extrapolated: bool, *, gate_failed: bool) -> str:
+    """Return what is to be minded of a figure, "ok" if nothing is."""
+    return ", ".join([EXTRAPOLATED] * extrapolated + [GATE_FAILED] * gate_failed) or OK
+
 
 _FORMULA = ("=", "+", "-", "@")
 """What a cell that a spreadsheet takes for a formula begins with."""
@@ -79,8 +94,8 @@ def position_rows(
     """
     z = measured.position_mm[:, 2]
     outside = ~((z >= calibrated_mm[0]) & (z <= calibrated_mm[1]))
-    words = [[GATE_FAILED, f"{EXTRAPOLATED}, {GATE_FAILED}"] if gate_failed else [OK, EXTRAPOLATED]]
-    status = [words[0][beyond] for beyond in outside.tolist()]
+    words = [status_of(beyond, gate_failed=gate_failed) for beyond in (False, True)]
+    status = [words[beyond] for beyond in outside.tolist()]
     extrapolated = [("no", "yes")[beyond] for beyond in outside.tolist()]
     numbers = [
         *measured.position_mm.T, *measured.std_mm.T, measured.low95_mm, measured.high95_mm,
@@ -122,6 +137,7 @@ def length_rows(
     measured: Positions,
     lengths: LengthTable,
     *,
+    calibrated_mm: tuple[float, float],
     gate_failed: bool = False,
     repeated: Set[str] = frozenset(),
 ) -> tuple[str, int]:
@@ -129,6 +145,7 @@ def length_rows(
 
     The points share the calibration's errors, which largely cancel for points near each other.
     `repeated` are ids that several readings have: no length says which of them it means.
+    A length is extrapolated if one of its ends lies outside `calibrated_mm`, the depths calibrated.
     """
     place = {name: i for i, name in enumerate(measured.ids)}
     rows, failed = [], 0
@@ -140,9 +157,11 @@ def length_rows(
             failed += 1
             rows.append((harmless(name), *ends, "", "", *map(_or_empty, known), "", fault))
             continue
-        length, u = measured.length(place[ends[0]], place[ends[1]])
+        between = [place[end] for end in ends]
+        length, u = measured.length(*between)
         shown = [*map(_or_empty, known), _or_empty(length - known[0])]
-        status = GATE_FAILED if gate_failed else OK
+        beyond = is_extrapolated(measured.position_mm[between, 2], calibrated_mm)
+        status = status_of(beyond, gate_failed=gate_failed)
         rows.append((harmless(name), *ends, _number(length), _number(u), *shown, status))
     return csv_text(rows), failed
 

@@ -19,13 +19,14 @@ from calib.capture.rows import capture_rows
 from calib.capture.writer import GrowingFolder, growing
 from calib.core.errors import UsageError
 from calib.core.parent import ending_with_this
+from calib.core.words import counted
 from calib.gaze import length as lengths
 from calib.gaze.length import gaze_length
 from calib.gaze.measured import position
 from calib.gaze.placing import Placing
 from calib.gaze.row import GazeRow
 from calib.gaze.table import line, refused
-from calib.instrument.measured_text import EXTRAPOLATED, GATE_FAILED, OK
+from calib.instrument.measured_text import is_extrapolated, status_of
 from calib.instrument.measuring import Positions
 from calib.live.bench import Bench, Calibrated
 from calib.live.commands import Calibrate, Capture, Check, Gaze, Job, Length, Pictures
@@ -169,7 +170,7 @@ def _capture(bench: Bench, job: Capture) -> None:
     bench.axis.refuse_stopped()
     if ended.rows < job.count:
         raise RigError(f"{ended.refused} targets were refused, the last ones in a row")
-    bench.record.tell(f"{bench.places.dataset}: {ended.rows} rows in {capture.table}")
+    bench.record.tell(f"{bench.places.dataset}: {counted(ended.rows, 'row')} in {capture.table}")
 
 
 def _captured(bench: Bench, text: str, job: Capture) -> None:
@@ -271,9 +272,7 @@ def _gaze(bench: Bench, job: Gaze) -> None:
 
 def _shown(name: str, row: GazeRow, found: Positions, known: Calibrated) -> dict[str, Any]:
     """Return a measurement as pages show it."""
-    near, far = known.measuring.calibrated_mm
-    z = float(found.position_mm[0, 2])
-    words = [EXTRAPOLATED] * (not near <= z <= far) + [GATE_FAILED] * known.gate_failed
+    beyond = is_extrapolated(found.position_mm[:, 2], known.measuring.calibrated_mm)
     interval = [float(found.low95_mm[0]), float(found.high95_mm[0])]
     return {
         "id": name,
@@ -284,7 +283,7 @@ def _shown(name: str, row: GazeRow, found: Positions, known: Calibrated) -> dict
         "moves": row.moves,
         "age_ms": max(seen.age_ms for seen in (*row.c1, *row.c2)),
         "ellipse": ellipse95(found.covariance_mm2[0]),
-        "status": ", ".join(words) or OK,
+        "status": status_of(beyond, gate_failed=known.gate_failed),
     }
 
 
@@ -306,8 +305,7 @@ def _length(bench: Bench, job: Length) -> None:
         entry = {"id": name, "from": job.start, "to": job.end, "status": str(error)}
         bench.record.add("lengths", entry)
         raise
-    status = GATE_FAILED if known.gate_failed else OK
-    bench.lengths_csv.append(lengths.line(name, ends, found, status=status))
+    bench.lengths_csv.append(lengths.line(name, ends, found, gate_failed=known.gate_failed))
     bench.record.add(
         "lengths",
         {
@@ -317,7 +315,7 @@ def _length(bench: Bench, job: Length) -> None:
             "length_mm": found.length_mm,
             "u_mm": found.u_mm,
             "ends_mm": found.positions.position_mm.tolist(),
-            "status": status,
+            "status": found.status(gate_failed=known.gate_failed),
         },
     )
 

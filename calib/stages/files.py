@@ -81,7 +81,7 @@ def atomic_write(path: Path) -> Iterator[Path]:
 def cannot_write(path: Path, error: OSError) -> UsageError:
     """Return what to tell where a file cannot be written."""
     reason = error.strerror or str(error)
-    return UsageError(f"{path}: cannot be written ({reason}); free space or choose another --out")
+    return UsageError(f"{path}: cannot be written ({reason}); free space or choose another folder")
 
 
 def make_folder(path: Path) -> None:

@@ -77,7 +77,7 @@ def test_pairs_and_sweep_follow_the_lenses_and_move_the_axis(lab, call):
     assert done.status == 3, done.err
     done = call("capture", "sweep", "mine", "--rig", "rig.toml", "--count", 1)
     assert done.status == 3, done.err
-    assert "mine: sweep: 1 pictures" in done.out
+    assert "mine: sweep: 1 placement, u" in done.out
     said = call("check", "mine").out
     assert "1 stereo pairs" in said
     table = (lab / "mine" / "sweep.csv").read_text().splitlines()

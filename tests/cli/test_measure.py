@@ -115,6 +115,24 @@ def test_an_id_of_several_readings_is_no_end_of_a_length_and_no_depth_row(
     assert "several rows" in found["status"]
 
 
+def test_a_length_with_an_end_beyond_the_calibrated_depths_says_so(
+    file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    table, pairs = tmp_path / "t.csv", tmp_path / "l.csv"
+    table.write_text(
+        "id,x1c,y1c,alpha2_deg\na,0.05,0.1,87\nb,0.25,-0.05,91\nfar,0.05,0.1,88.5\nnear,0.05,0.1,60\n"
+    )
+    depths = rows_of(call(capsys, "measure", file, table).out)
+    outside = {name for name, row in depths.items() if row["extrapolated"] == "yes"}
+    assert outside == {"far", "near"}
+    pairs.write_text("id,from,to\nin,a,b\nfirst,far,a\nlast,b,near\nboth,near,far\n")
+    found = rows_of(call(capsys, "measure", file, table, "--lengths", pairs).out)
+    said = {name: row["status"] for name, row in found.items()}
+    assert said == {
+        "in": "ok", "first": "extrapolated", "last": "extrapolated", "both": "extrapolated"
+    }  # fmt: skip
+
+
 def test_lengths(file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     table, pairs = tmp_path / "t.csv", tmp_path / "l.csv"
     table.write_text("id,x1c,y1c,alpha2_deg\na,0.05,0.1,87\nb,0.25,-0.05,91\n")

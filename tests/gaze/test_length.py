@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "rig"))
 from virtual_rigs import virtual_rig
 
 from calib.core.errors import UsageError
-from calib.gaze.length import gaze_length
+from calib.gaze.length import gaze_length, line
 from calib.gaze.plate import PlateCorner
 from calib.gaze.target import target
 from calib.rig.protocols import Refused
@@ -76,6 +77,23 @@ def test_a_plate_that_moved_between_its_ends_has_no_length():
         rig.world.follow(lambda _: pose, since_ns=rig.clock.now_ns() + took // 2)
         with pytest.raises(Refused, match="moved"):
             gaze_length(eye, where, instrument, ENDS, model="selected")
+
+
+def test_a_length_with_an_end_beyond_the_calibrated_depths_says_so():
+    with virtual_rig(target="plate:1400,500,10", baseline_mm=200.0, seed=2) as rig:
+        hand, eye = Operator(rig.world), gazer(rig)
+        eye.lens_c1 = rig.world.rig.c1
+        hand.show_plate()
+        instrument = measuring(rig, u_alpha2_deg=U_LOAD_DEG)
+        found = gaze_length(eye, aiming(rig), instrument, ENDS, model="selected")
+        z = sorted(found.positions.position_mm[:, 2])
+        said = []
+        for near, far in ((z[0] - 50, z[1] + 50), (z[0] - 50, z[1] - 10)):
+            known = replace(instrument, calibrated_mm=(near, far))
+            found = gaze_length(eye, aiming(rig), known, ENDS, model="selected")
+            said.append(line("l01", ENDS, found, gate_failed=False).strip().rpartition(",")[2])
+        assert said == ["ok", "extrapolated"]
+        assert found.status(gate_failed=True) == "extrapolated, gate failed"
 
 
 def test_names_of_corners():

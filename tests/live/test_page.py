@@ -147,6 +147,19 @@ def test_a_click_that_is_doubled_is_one(served, page_of):
     page.wait_for_selector("#check:enabled")
 
 
+def test_a_number_out_of_range_is_told_and_asks_for_nothing(served, page_of):
+    page = page_of(served.url)
+    before = served.record.get("log")
+    for given in ("0", "501", "2.5", ""):
+        page.fill("#rows", given)
+        # In one go: the next state disables the button of a rig that is not checked.
+        page.evaluate("capture.disabled = false; capture.click()")
+        expect(page.locator("#notice")).to_have_text("rows: give a whole number from 1 to 500")
+    time.sleep(0.2)
+    assert served.record.get("job") is None
+    assert served.record.get("log") == before
+
+
 def test_stop_in_the_middle_of_a_move(served, page_of):
     page = page_of(served.url)
     page.click("#check")

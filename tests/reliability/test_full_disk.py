@@ -52,7 +52,7 @@ def test_full_disk(limit: int, tmp_path: Path) -> None:
     message = done.stderr.splitlines()[-1]
     assert message.startswith("calib: ")
     assert "cannot be written" in message
-    assert "free space or choose another --out" in message
+    assert "free space or choose another folder" in message
     names = [p for p in out.rglob("*") if p.is_file() and p.name != ".lock"]
     assert not [p for p in names if p.suffix == ".part"]
     for path in names:

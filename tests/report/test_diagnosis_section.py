@@ -9,6 +9,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from lxml import html
+from page_parts import table
 from report_examples import paper
 
 from calib.diagnosis.findings import Cause, Diagnosis, SeenIn
@@ -40,7 +42,7 @@ def report(diagnosis: Diagnosis) -> str:
 
 def test_a_cause_is_said_with_remedy_and_effect() -> None:
     page = report(Diagnosis("base", (STEP,), (STEP,)))
-    assert "From row c13 on alpha2 reads 0.250 +- 0.012 deg more than before" in page
+    assert "From row c13 on alpha2 reads 0.250 ± 0.012 deg more than before" in page
     assert STEP.hypothesis.remedy in page
     assert "moves a depth by up to 7.2 of its u" in page
     assert "residuals are 4.1 times what is stated without it, 0.92 times with it" in page
@@ -54,6 +56,18 @@ def test_scatter_of_references_is_no_residual_of_rows(seen_in: SeenIn) -> None:
     said = "4.1 times what the calibration leads to expect without it, 0.92 times with it"
     assert f"errors of independent depths and lengths are {said}" in page
     assert "times what is stated" not in page
+    assert "Residuals of independent depths and lengths, by base alone" in page
+
+
+def test_the_table_has_the_evidence_by_which_a_cause_was_named() -> None:
+    """Of the rows alone, that of a cause named with references may be below the limit."""
+    alone, named = replace(STEP, gain=-0.7), replace(STEP, seen_in="both", gain=17.9)
+    page = html.document_fromstring(report(Diagnosis("base", (named,), (alone,))))
+    rows = table(page, "Mistakes tried")
+    assert [[row[i].text_content() for i in (0, 3, 4)] for row in rows] == [
+        ["reading-step", "rows and references", "17.9"],
+        ["reading-step", "rows", "−0.7"],
+    ]
 
 
 def test_causes_that_cannot_be_distinguished_name_each_other() -> None:
@@ -82,7 +96,7 @@ def test_a_cause_beside_the_first_is_said_with_its_remedy_and_drawn() -> None:
     )  # fmt: skip
     diagnosis = Diagnosis("base", (STEP, far), (STEP,))
     page = report(diagnosis)
-    assert "Beside reading-step, reference depths from 900 mm are 3.00 +- 0.40 % off" in page
+    assert "Beside reading-step, reference depths from 900 mm are 3.00 ± 0.40 % off" in page
     assert far.hypothesis.remedy in page
     assert "As well it may be" not in page
     assert "Once that is allowed for, the rows show reference-bias-far as well" in page

@@ -73,6 +73,7 @@ class LensGuide:
     """
 
     unit: Final = "px"
+    noun: Final = "picture"
 
     def __init__(
         self, role: Role, board: Board, image_size: tuple[int, int], *, needed_rad: float

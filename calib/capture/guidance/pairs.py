@@ -84,6 +84,7 @@ class PairGuide:
     """
 
     unit: Final = "%"
+    noun: Final = "pair"
 
     def __init__(
         self, board: Board, lenses: tuple[LensSays, LensSays], pose_12: FloatArray, need: Need

@@ -68,6 +68,7 @@ class SweepGuide:
     """
 
     unit: Final = "%"
+    noun: Final = "placement"
 
     def __init__(
         self,

@@ -218,14 +218,18 @@ function enable(state, page) {
 
 function asked(id, command) {
   $(id).onclick = () => {
-    notice("");
+    const wrong = [...$(id).parentElement.querySelectorAll("input")].find((field) => !field.checkValidity());
+    notice(wrong ? `${wrong.labels[0].firstChild.data.trim()}: ${wanted(wrong)}` : "");
+    if (wrong) { wrong.focus(); return; }
     send(command());
     // Until the next state comes, which says what may be asked for: a click that is doubled is one.
     if (ONCE.includes(id)) $(id).disabled = true;
   };
 }
 
-const whole = (id) => Math.round(Number($(id).value)) || 1;
+const wanted = (field) =>
+  field.type === "number" ? `give a whole number from ${field.min} to ${field.max}` : "name a target";
+const whole = (id) => Number($(id).value);
 asked("stop", () => ({ do: "stop" }));
 asked("take", () => ({ do: "take" }));
 asked("check", () => ({ do: "check" }));

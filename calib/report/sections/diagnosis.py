@@ -10,6 +10,7 @@ from calib.report.context import ReportContext
 from calib.report.figures.diagnosis import draw_cause
 from calib.report.numbers import signed
 from calib.report.plotting import picture
+from calib.report.prose import capital, typeset
 from calib.results.calibration import Calibration
 from calib.uncertainty.format import significant, with_uncertainty
 
@@ -35,6 +36,7 @@ def _picture(found: Diagnosis) -> Block:
     """Return the picture of residuals without and with the best cause, and one beside it."""
     first = found.causes[0]
     second = next((cause for cause in found.causes if cause.beside == first.name), None)
+    shown = "the rows" if first.seen_in == "rows" else "independent depths and lengths"
     text = f"by {found.model} alone and with {first.name} as a further parameter"
     if second is not None:
         text = (
@@ -44,7 +46,7 @@ def _picture(found: Diagnosis) -> Block:
     return picture(
         "cause",
         draw_cause(first, second),
-        f"Residuals of {_looked_at(first)}, {text}. With the right cause they scatter about zero "
+        f"Residuals of {shown}, {text}. With the right cause they scatter about zero "
         "without order.",
     )
 
@@ -83,9 +85,7 @@ def _looked_at(cause: Cause) -> str:
 def _named(found: Diagnosis, cause: Cause) -> list[Block]:
     matters = found.matters(cause)
     blocks: list[Block] = [
-        Notice(
-            "bad" if matters else "note", cause.name, f"{cause.text[:1].upper()}{cause.text[1:]}."
-        )
+        Notice("bad" if matters else "note", cause.name, f"{capital(typeset(cause.text))}.")
     ]
     items = [f"Remedy: {cause.hypothesis.remedy}."]
     if not cause.is_carried:
@@ -96,19 +96,25 @@ def _named(found: Diagnosis, cause: Cause) -> list[Block]:
     return [*blocks, Items(tuple(items))]
 
 
+_BY = {"rows": "rows", "references": "references", "both": "rows and references"}
+
+
 def _table(found: Diagnosis) -> Block:
+    """Return all that was tried, with what rows and references gave together where it was named."""
+    together = [cause for cause in found.causes if cause.seen_in == "both"]
     rows = [
         (
             words(attempt.name),
             words(attempt.at or "", mark=""),
             words(_estimate(attempt)),
+            words(_BY[attempt.seen_in]),
             number(signed(f"{attempt.gain:.1f}"), attempt.gain),
         )
-        for attempt in found.tried
+        for attempt in (*together, *found.tried)
     ]
     return table(
         f"Mistakes tried (evidence in nats; named from {DECISIVE:g})",
-        ("Mistake", "Where", "Estimate", "Evidence"),
+        ("Mistake", "Where", "Estimate", "By", "Evidence"),
         rows,
         sortable=True,
     )

@@ -41,6 +41,9 @@ def control_words(table: ReturnTable, encoder: Encoder | None) -> str:
 
 def _cause(found: Control, returns: Returns) -> str:
     change = math.degrees(returns.change_rad[-1])
+    # Of a zero that came back the moving average is outside for a while: the last says nothing.
+    z = found.single.statistic[: len(returns.change_rad)]
+    most = math.degrees(returns.change_rad[int(np.abs(z).argmax())])
     match found.cause:
         case "lost steps":
             steps = lost_full_steps(returns)
@@ -55,12 +58,12 @@ def _cause(found: Control, returns: Returns) -> str:
             )
         case "jump":
             return (
-                f"it jumped, by {change:+.4f} deg: look for a bump, a slipped coupling, a new "
+                f"it jumped, by {most:+.4f} deg: look for a bump, a slipped coupling, a new "
                 "reference run"
             )
         case _:
             return (
-                f"it changed by {change:+.4f} deg, by drift or in one jump: look for heat, a cable "
+                f"it changed by {most:+.4f} deg, by drift or in one jump: look for heat, a cable "
                 "that pulls, a bump, a slipped coupling, a new reference run, or a first target "
                 "that was not put back where it stood"
             )

@@ -18,6 +18,8 @@ from calib.capture.writer import growing
 from calib.checks.returns import returns_gates
 from calib.cli.main import main
 from calib.dataset.load import load_dataset
+from calib.dataset.tables import ReturnTable
+from calib.instrument.returns import control_words
 from calib.uncertainty.control import Returns, control, lost_full_steps
 from tests.rig.checked_rig import CHECK, RIG
 
@@ -124,3 +126,12 @@ def test_returns_are_to_the_first_row_of_the_same_target(tmp_path):
         assert first_row(folder, target="board").name == "g02"
         assert first_row(folder, target="cross").name == "g03"
         assert first_row(folder, target="blob") is None
+
+
+def test_of_a_zero_that_jumped_and_came_back_the_jump_is_told():
+    change = np.radians([0.0001, 0.4637, -0.0009])
+    u, names = np.full(3, np.radians(0.003)), ("r01", "r02", "r03")
+    table = ReturnTable(
+        "returns.csv", (2, 3, 4), names, ("g01",) * 3, ("g04", "g08", "g08"), change, u, u
+    )
+    assert "by +0.4637 deg" in control_words(table, None)

@@ -56,6 +56,7 @@ def test_scatter_of_references_is_no_residual_of_rows(seen_in: SeenIn) -> None:
     said = "4.1 times what the calibration leads to expect without it, 0.92 times with it"
     assert f"errors of independent depths and lengths are {said}" in page
     assert "times what is stated" not in page
+    assert "Residuals of independent depths and lengths, by base alone" in page
 
 
 def test_the_table_has_the_evidence_by_which_a_cause_was_named() -> None:

@@ -36,6 +36,7 @@ def _picture(found: Diagnosis) -> Block:
     """Return the picture of residuals without and with the best cause, and one beside it."""
     first = found.causes[0]
     second = next((cause for cause in found.causes if cause.beside == first.name), None)
+    shown = "the rows" if first.seen_in == "rows" else "independent depths and lengths"
     text = f"by {found.model} alone and with {first.name} as a further parameter"
     if second is not None:
         text = (
@@ -45,7 +46,7 @@ def _picture(found: Diagnosis) -> Block:
     return picture(
         "cause",
         draw_cause(first, second),
-        f"Residuals of {_looked_at(first)}, {text}. With the right cause they scatter about zero "
+        f"Residuals of {shown}, {text}. With the right cause they scatter about zero "
         "without order.",
     )
 

@@ -37,6 +37,10 @@ RUNNER_UP = 4.6
 OPEN = -10.0
 """Evidence from which independent references are asked about a cause that rows do not show."""
 
+SCATTERED = 2.0
+"""Noise scale above which references are asked about nothing that rows do not show: of a fit that a
+few wrong rows have spoilt whatever takes their weight away predicts depths better."""
+
 OF_OUTLIERS = ("rows-exchanged", "unit", "group-reference")
 """Hypotheses about rows that the fit rejects."""
 
@@ -137,9 +141,11 @@ class Tried:
 
     def _suspects(self) -> Iterator[Suspect]:
         """Yield what rows leave open and independent references may tell."""
+        if self.base.refit.scale > SCATTERED:
+            return
         for name in self.ranked:
             found = self.outcomes[name]
-            if found.gain > OPEN and not found.is_carried and name not in self.named:
+            if found.lead > OPEN and not found.is_carried and name not in self.named:
                 yield Suspect(
                     attempt=self._attempt(name),
                     values=found.values,

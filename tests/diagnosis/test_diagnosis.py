@@ -54,6 +54,7 @@ def test_some_wrong_depths_are_no_backlash(rows: int, wrong: int, tmp_path: Path
     found = Tried.of(spoilt, priors, fit, row_history(dataset), is_left=False)
     assert found is not None
     assert "backlash" not in found.named
+    assert not list(found._suspects()), "of so spoilt a fit references can tell no cause"
 
 
 def test_a_reference_from_the_front_of_a_lens_is_named(tmp_path: Path) -> None:

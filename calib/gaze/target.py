@@ -302,24 +302,22 @@ def target(text: str, board: Board | None) -> Target:
         "plate": lambda: _on_plate(text, rest),
     }
     if kind not in makers or (bool(rest) != (kind in {"corner", "tag", "plate"})):
-        raise UsageError(f"--target {text}: is no target; they are {', '.join(KINDS)}")
+        raise UsageError(f"target {text}: is no target; they are {', '.join(KINDS)}")
     return makers[kind]()
 
 
 def _on_board(text: str, board: Board | None) -> BoardCorner:
     if board is None:
-        raise UsageError(
-            f"--target {text}: rig.toml has no [board]; add it, or name another target"
-        )
+        raise UsageError(f"target {text}: rig.toml has no [board]; add it, or name another target")
     if text == "board":
         return BoardCorner(board)
     parts = text.removeprefix("corner:").split(",")
     if len(parts) != 2 or not all(p.isascii() and p.isdigit() for p in parts):
-        raise UsageError(f"--target {text}: write corner:COLUMN,ROW, counted from 0")
+        raise UsageError(f"target {text}: write corner:COLUMN,ROW, counted from 0")
     column, row = int(parts[0]), int(parts[1])
     if column >= board.columns or row >= board.rows:
         raise UsageError(
-            f"--target {text}: the board has columns 0 to {board.columns - 1} and rows 0 to "
+            f"target {text}: the board has columns 0 to {board.columns - 1} and rows 0 to "
             f"{board.rows - 1}"
         )
     described = {name: getattr(board, name) for name in board.__dataclass_fields__}
@@ -331,7 +329,7 @@ def _on_plate(text: str, rest: str) -> Target:
     from calib.gaze.plate import CORNERS, PlateCorner
 
     if rest not in CORNERS:
-        raise UsageError(f"--target {text}: a plate has the corners {', '.join(CORNERS)}")
+        raise UsageError(f"target {text}: a plate has the corners {', '.join(CORNERS)}")
     return PlateCorner(rest)
 
 
@@ -339,12 +337,10 @@ def _tag(text: str, rest: str) -> Tag:
     dictionary, _, number = rest.rpartition(":")
     if dictionary not in DICTIONARIES:
         hint = suggestion(dictionary, DICTIONARIES)
-        raise UsageError(f"--target {text}: unknown dictionary {dictionary!r}; {hint}")
+        raise UsageError(f"target {text}: unknown dictionary {dictionary!r}; {hint}")
     if not (number.isascii() and number.isdigit()):
-        raise UsageError(f"--target {text}: write tag:DICTIONARY:ID, such as tag:{dictionary}:7")
+        raise UsageError(f"target {text}: write tag:DICTIONARY:ID, such as tag:{dictionary}:7")
     known = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary))
     if int(number) >= len(known.bytesList):
-        raise UsageError(
-            f"--target {text}: tags of {dictionary} end with {len(known.bytesList) - 1}"
-        )
+        raise UsageError(f"target {text}: tags of {dictionary} end with {len(known.bytesList) - 1}")
     return Tag(dictionary, int(number))

@@ -145,8 +145,10 @@ def test_a_cross_with_arms_too_short_for_its_window_is_not_measured():
     ],
 )
 def test_a_name_that_is_none_is_refused(text, says):
-    with pytest.raises(UsageError, match=says):
+    with pytest.raises(UsageError, match=says) as refusal:
         target(text, BOARD)
+    # It came by --target, --from, --to, a field of the page or a standard's table.
+    assert str(refusal.value).startswith(f"target {text}: ")
 
 
 def test_targets_by_name():

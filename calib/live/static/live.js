@@ -246,7 +246,7 @@ for (const camera of CAMERAS) {
     send({ do: "pick", camera, u: event.offsetX * scale, v: event.offsetY * scale });
   };
 }
-$("target").onchange = () => send({ do: "mark", target: $("target").value });
+$("target").onchange = () => $("target").checkValidity() && send({ do: "mark", target: $("target").value });
 $("question").onsubmit = (event) => {
   event.preventDefault();
   send({ do: "answer", text: $("answer").hidden ? "" : $("answer").value });

@@ -44,7 +44,7 @@ def test_rows_do_not_go_on_behind_a_clock_that_was_set_back_meanwhile(monkeypatc
     monkeypatch.setattr(journal, "_START", journal._START - 30)
     journal.refuse_earlier(events)
     monkeypatch.setattr(journal, "_START", journal._START - 3600)
-    with pytest.raises(UsageError, match="this computer's clock says .*; set the clock, or"):
+    with pytest.raises(UsageError, match=r"this computer's clock says .*; set the clock, or"):
         journal.refuse_earlier(events)
 
 

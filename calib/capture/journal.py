@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any, Final
 
+from calib.core.errors import UsageError
 from calib.gaze.row import GazeRow, Seen
 
 
@@ -41,6 +42,11 @@ def row_journal(row: GazeRow, kept: Mapping[str, Seen]) -> dict[str, Any]:
     }
 
 
+BEHIND_S: Final = 60.0
+"""Clocks that are kept by a time server step by less."""
+
+_FORMAT: Final = "%Y-%m-%dT%H:%M:%SZ"
+
 _START: Final = time.time() - time.monotonic()
 """Time of day at the zero of the monotonic clock, as this program began."""
 
@@ -51,4 +57,21 @@ def now() -> str:
     Rows are in order by it although the machine's clock is set meanwhile, by an hour in autumn or
     by a time server: what drifts with time would be sought in the wrong order.
     """
-    return time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(_START + time.monotonic()))
+    return time.strftime(_FORMAT, time.gmtime(_START + time.monotonic()))
+
+
+def refuse_earlier(events: Iterable[Mapping[str, Any]]) -> None:
+    """Refuse to go on with a journal whose last times are still to come.
+
+    Raises
+    ------
+    UsageError
+        If they are by over `BEHIND_S`: new rows would come before the old ones.
+    """
+    times = [e["time"] for e in events if isinstance(e.get("time"), str)]
+    limit = time.strftime(_FORMAT, time.gmtime(_START + time.monotonic() + BEHIND_S))
+    if times and max(times) > limit:
+        raise UsageError(
+            f"the last row was captured at {max(times)}, and this computer's clock says {now()}: "
+            "rows would be in a wrong order; set the clock, or capture into a new folder"
+        )

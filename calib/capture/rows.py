@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 
 from calib.capture.description import Description, Kind, add_sections, add_tables
-from calib.capture.journal import now, row_journal
+from calib.capture.journal import now, refuse_earlier, row_journal
 from calib.capture.references import Reference
 from calib.capture.returns import EVERY, Returning, is_due, return_to_first
 from calib.capture.writer import GrowingFolder
@@ -100,8 +100,11 @@ def capture_rows(capture: Capture, *, count: int) -> Captured:
     ------
     RigError
         If the zero of the readings has changed since the first row; see `calib.capture.returns`.
+    UsageError
+        If the computer's clock was set back since the last row.
     """
     aiming = before_calibration(capture.gazer.rig, capture.known.lenses.get("c1"))
+    refuse_earlier(capture.folder.all_events())
     _note_start(capture)
     have, refused, in_a_row, lost = len(capture.folder.rows(capture.table)), 0, 0, 0
     returning = _returning(capture, aiming)

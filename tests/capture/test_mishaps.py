@@ -38,6 +38,16 @@ def test_times_of_rows_stay_in_order_though_the_clock_is_set_back(monkeypatch):
     assert 0 <= (after - before).total_seconds() < 60
 
 
+def test_rows_do_not_go_on_behind_a_clock_that_was_set_back_meanwhile(monkeypatch):
+    events = [{"event": "row", "time": journal.now()}, {"event": "begun"}]
+    journal.refuse_earlier(events)
+    monkeypatch.setattr(journal, "_START", journal._START - 30)
+    journal.refuse_earlier(events)
+    monkeypatch.setattr(journal, "_START", journal._START - 3600)
+    with pytest.raises(UsageError, match=r"this computer's clock says .*; set the clock, or"):
+        journal.refuse_earlier(events)
+
+
 def test_two_programs_do_not_turn_one_motor(tmp_path):
     text = RIG.replace('[axis]\ndriver = "virtual"', '[axis]\ndriver = "ximc"')
     (tmp_path / "rig.toml").write_text(text)

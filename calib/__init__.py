@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from calib.core.version import __version__
 
 if TYPE_CHECKING:
-    from calib.chain.start import Calibrated as Calibrated
+    from calib.chain.start import FinishedRun as Calibrated
     from calib.chain.start import calibrate as calibrate
     from calib.core.errors import CalibError as CalibError
     from calib.core.errors import InputError as InputError

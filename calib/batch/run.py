@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
 
-from calib.batch.task import Children, Outcome, Task, calibrate_one
+from calib.batch.task import Children, DatasetTask, Outcome, calibrate_one
 from calib.core.errors import UsageError
 from calib.stages.cluster import run_on_cluster
 
@@ -28,7 +28,7 @@ def refuse_absent(datasets: Sequence[Path]) -> None:
 
 def tasks_of(
     datasets: Sequence[Path], out: Path, *, seed: int = 0, force: bool = False
-) -> tuple[Task, ...]:
+) -> tuple[DatasetTask, ...]:
     """Return one task a dataset; its run goes into a folder of `out` named after it.
 
     Datasets of one name get their parents' names before it.
@@ -52,11 +52,13 @@ def tasks_of(
             )
         found[name] = path
     where = out.resolve()
-    return tuple(Task(str(path), str(where / name), seed, force) for name, path in found.items())
+    return tuple(
+        DatasetTask(str(path), str(where / name), seed, force) for name, path in found.items()
+    )
 
 
 def run_batch(
-    tasks: Sequence[Task],
+    tasks: Sequence[DatasetTask],
     *,
     jobs: int = 1,
     scheduler: str | None = None,
@@ -80,7 +82,7 @@ def run_batch(
     EstimationError
         If workers of the cluster die again and again.
     """
-    found: dict[Task, Outcome] = {}
+    found: dict[DatasetTask, Outcome] = {}
     outcomes = (
         _here(tasks, jobs) if scheduler is None else run_on_cluster(calibrate_one, tasks, scheduler)
     )
@@ -90,7 +92,7 @@ def run_batch(
     return tuple(found[task] for task in tasks)
 
 
-def _here(tasks: Sequence[Task], jobs: int) -> Iterator[Outcome]:
+def _here(tasks: Sequence[DatasetTask], jobs: int) -> Iterator[Outcome]:
     """Yield outcomes as they come; each thread waits for a process."""
     children = Children()
     with ThreadPoolExecutor(max_workers=min(jobs, len(tasks))) as pool:

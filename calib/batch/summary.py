@@ -16,7 +16,7 @@ from calib.core.words import counted
 from calib.history.drift import EFFECTIVE
 from calib.history.read import RESULT, read_run
 from calib.instrument.calibration_file import read_whole
-from calib.report.plain_page import Block, Cell, Link, Paragraph, PlainTable, State, plain_page
+from calib.report.plain_page import Block, Cell, Link, PlainTable, StateCell, Text, plain_page
 from calib.stages.manifest import faults
 
 GENERATOR = "calib batch"
@@ -28,7 +28,7 @@ Result: TypeAlias = Ending | Literal["contradicted"]
 
 
 @dataclass(frozen=True)
-class Line:
+class SummaryLine:
     """A dataset's line.
 
     Parameters
@@ -54,23 +54,25 @@ class Line:
 COLUMNS = ("model", "L_b + e, mm", "u, mm", "depths, mm", "u(z) at the middle, mm")
 
 
-def line_of(outcome: Outcome, out: Path) -> Line:
+def line_of(outcome: Outcome, out: Path) -> SummaryLine:
     """Return the line of one dataset, from the files of its run."""
     folder = Path(outcome.task.out)
     relative = folder.relative_to(out.resolve()).as_posix()
     if outcome.ending in ("refused", "crashed"):
         # What lies there may be of an earlier run.
-        return Line(outcome.task.dataset, relative, outcome.ending, {}, outcome.said, ())
+        return SummaryLine(outcome.task.dataset, relative, outcome.ending, {}, outcome.said, ())
     documents = tuple(name for name in DOCUMENTS if (folder / name).exists())
     if found := faults(folder):
         # The run was whole when it ended: something else has written there.
-        return Line(outcome.task.dataset, relative, "refused", {}, (str(found[0]),), ())
+        return SummaryLine(outcome.task.dataset, relative, "refused", {}, (str(found[0]),), ())
     try:
         run = read_run(folder)
     except CalibError as error:
         # A calibration of cameras alone, as a rule.
         said = str(error).splitlines()[:1]
-        return Line(outcome.task.dataset, relative, outcome.ending, {}, tuple(said), documents)
+        return SummaryLine(
+            outcome.task.dataset, relative, outcome.ending, {}, tuple(said), documents
+        )
     value, std = run.estimates()[EFFECTIVE]
     near, far = run.measuring.calibrated_mm
     u = run.u_at((near + far) / 2)
@@ -84,10 +86,10 @@ def line_of(outcome: Outcome, out: Path) -> Line:
     result: Result = outcome.ending
     if against and result == "passed":
         result = "contradicted"
-    return Line(outcome.task.dataset, relative, result, figures, remarks, documents)
+    return SummaryLine(outcome.task.dataset, relative, result, figures, remarks, documents)
 
 
-def counts(lines: Sequence[Line]) -> str:
+def counts(lines: Sequence[SummaryLine]) -> str:
     """Return how many ended how, in words."""
     kinds: tuple[Result, ...] = ("passed", "contradicted", "gates failed", "refused", "crashed")
     numbers = {kind: sum(line.result == kind for line in lines) for kind in kinds}
@@ -95,7 +97,7 @@ def counts(lines: Sequence[Line]) -> str:
     return f"{counted(len(lines), 'dataset')}: {said}"
 
 
-def document(lines: Sequence[Line]) -> dict[str, Any]:
+def document(lines: Sequence[SummaryLine]) -> dict[str, Any]:
     """Return the summary as a JSON object."""
     return {
         "datasets": [
@@ -111,7 +113,7 @@ def document(lines: Sequence[Line]) -> dict[str, Any]:
     }
 
 
-def csv_text(lines: Sequence[Line]) -> str:
+def csv_text(lines: Sequence[SummaryLine]) -> str:
     """Return the table as CSV."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
@@ -125,13 +127,13 @@ def csv_text(lines: Sequence[Line]) -> str:
     return text.getvalue()
 
 
-def page(lines: Sequence[Line]) -> str:
+def page(lines: Sequence[SummaryLine]) -> str:
     """Return the table as a page, what went wrong first."""
     order = ("crashed", "refused", "gates failed", "contradicted", "passed")
     rows: list[list[Cell]] = [
         [
             line.folder,
-            State(line.result, line.result == "passed"),
+            StateCell(line.result, line.result == "passed"),
             *(line.figures.get(name, "") for name in COLUMNS),
             tuple(Link(_title(name), quote(f"{line.folder}/{name}")) for name in line.documents),
             "; ".join(line.remarks),
@@ -139,7 +141,7 @@ def page(lines: Sequence[Line]) -> str:
         for line in sorted(lines, key=lambda line: order.index(line.result))
     ]
     head = ["dataset", "result", *COLUMNS, "documents", "remarks"]
-    blocks: list[Block] = [Paragraph(f"{counts(lines)}."), PlainTable("", head, rows)]
+    blocks: list[Block] = [Text(f"{counts(lines)}."), PlainTable("", head, rows)]
     return plain_page("Batch of calibrations", blocks, generator=GENERATOR)
 
 

@@ -38,7 +38,7 @@ _STAGE = "  "
 
 
 @dataclass(frozen=True)
-class Task:
+class DatasetTask:
     """A dataset to calibrate.
 
     Parameters
@@ -67,7 +67,7 @@ class Outcome:
         Of a run that gave no result: what it said, at most `SAID` lines.
     """
 
-    task: Task
+    task: DatasetTask
     ending: Ending
     said: tuple[str, ...] = ()
 
@@ -106,7 +106,7 @@ class Children:
                 process.terminate()
 
 
-def calibrate_one(task: Task, children: Children | None = None) -> Outcome:
+def calibrate_one(task: DatasetTask, children: Children | None = None) -> Outcome:
     """Calibrate one dataset on one processor; never raises for what the dataset holds."""
     counted = children or Children()
     while True:
@@ -117,7 +117,7 @@ def calibrate_one(task: Task, children: Children | None = None) -> Outcome:
             time.sleep(ASKED_AGAIN_S)
 
 
-def _calibrate(task: Task, children: Children) -> Outcome:
+def _calibrate(task: DatasetTask, children: Children) -> Outcome:
     here = str(Path(__file__).parents[2])
     search = os.pathsep.join(filter(None, (here, os.environ.get("PYTHONPATH"))))
     # `--`: names may begin with a dash. -P: not the working directory, where anything may lie.

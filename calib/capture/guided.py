@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any, Final, Protocol
 
 from calib.capture.description import Description
-from calib.capture.guidance.asked import Asked, Role
+from calib.capture.guidance.asked import AskedPose, Role
 from calib.capture.holding import Holding
 from calib.capture.journal import now
 from calib.capture.shutter import Finder, View
@@ -58,7 +58,7 @@ class Guide(Protocol):
     def is_done(self) -> bool:
         """Whether enough is known."""
 
-    def ask(self) -> Asked:
+    def ask(self) -> AskedPose:
         """Return the pose to hold the board at next."""
 
     def fault(self, views: Mapping[Role, View]) -> str:
@@ -71,7 +71,7 @@ class Guide(Protocol):
         """Never ask again for the pose asked for last."""
 
 
-Show = Callable[[Asked | None, Mapping[Role, Grey], str], None]
+Show = Callable[[AskedPose | None, Mapping[Role, Grey], str], None]
 """Shows what is asked for in the newest pictures, and what keeps the shutter; None ends it."""
 
 
@@ -162,7 +162,7 @@ def capture_guided(guided: Guided, guide: Guide, roles: tuple[Role, ...], taken:
 
 
 def await_view(
-    guided: Guided, asked: Asked, roles: tuple[Role, ...], guide: Guide
+    guided: Guided, asked: AskedPose, roles: tuple[Role, ...], guide: Guide
 ) -> dict[Role, Shot]:
     """Return the first pictures that the guide's shutter takes.
 

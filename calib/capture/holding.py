@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from typing import Final, Protocol
 
-from calib.capture.guidance.asked import Asked
+from calib.capture.guidance.asked import AskedPose
 from calib.rig.devices import RigDevices
 from calib.rig.protocols import Refused
 from calib.rig.virtual.hand import Hand
@@ -25,7 +25,7 @@ TELL_S: Final = 2.0
 class Holding(Protocol):
     """Holds the board."""
 
-    def hold(self, asked: Asked) -> None:
+    def hold(self, asked: AskedPose) -> None:
         """Begin to hold it as asked."""
 
     def wait(self, fault: str, waited_s: float) -> None:
@@ -51,12 +51,12 @@ class VirtualHolding:
 
     def __init__(self, world: World, *, done: int = 0) -> None:
         self._hand = Hand(world, done=done)
-        self._asked: Asked | None = None
+        self._asked: AskedPose | None = None
         self._tries = 0
         self._until_s = PATIENCE_S
         self._looks = 0
 
-    def hold(self, asked: Asked) -> None:
+    def hold(self, asked: AskedPose) -> None:
         """Begin to hold the board as asked."""
         self._asked, self._tries, self._until_s, self._looks = asked, 0, PATIENCE_S, 0
         self._hand.hold(asked.role, asked.corners_px)
@@ -87,7 +87,7 @@ class ToldHolding:
         self._tell = tell
         self._last, self._at = "", 0.0
 
-    def hold(self, asked: Asked) -> None:  # noqa: ARG002 - the outline is in the picture
+    def hold(self, asked: AskedPose) -> None:  # noqa: ARG002 - the outline is in the picture
         """Begin anew."""
         self._last = ""
 

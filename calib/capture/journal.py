@@ -8,10 +8,10 @@ from collections.abc import Iterable, Mapping
 from typing import Any, Final
 
 from calib.core.errors import UsageError
-from calib.gaze.row import GazeRow, Seen
+from calib.gaze.row import GazeRow, SeenTarget
 
 
-def row_journal(row: GazeRow, kept: Mapping[str, Seen]) -> dict[str, Any]:
+def row_journal(row: GazeRow, kept: Mapping[str, SeenTarget]) -> dict[str, Any]:
     """Return what the journal says of a row beyond the table."""
     standing = row.standstill
     return {

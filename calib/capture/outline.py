@@ -10,7 +10,7 @@ from typing import Final
 import cv2
 import numpy as np
 
-from calib.capture.guidance.asked import Asked, Role
+from calib.capture.guidance.asked import AskedPose, Role
 from calib.images.detection.picture import Grey
 from calib.stages.files import write_bytes
 
@@ -35,7 +35,7 @@ class OutlineFile:
         self._path = path
         self._at = -EVERY_S
 
-    def show(self, asked: Asked | None, pictures: Mapping[Role, Grey], fault: str) -> None:
+    def show(self, asked: AskedPose | None, pictures: Mapping[Role, Grey], fault: str) -> None:
         """Draw what is asked for; None deletes the file."""
         if asked is None:
             self._path.unlink(missing_ok=True)
@@ -48,7 +48,7 @@ class OutlineFile:
         write_bytes(self._path, data.tobytes())
 
 
-def drawn(grey: Grey, asked: Asked, fault: str) -> np.typing.NDArray[np.uint8]:
+def drawn(grey: Grey, asked: AskedPose, fault: str) -> np.typing.NDArray[np.uint8]:
     """Return the picture with the outline and the words, BGR, shape (height, width, 3)."""
     picture: np.typing.NDArray[np.uint8] = cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR)
     unit = max(1, round(grey.shape[1] / 640))

@@ -248,7 +248,7 @@ def _turn(returning: Returning, first: First, role: Role, row: GazeRow) -> float
         if role == "c1"
         else (row.c2, row.pixel_c2, first.pixel_c2, row.u_c2_px)
     )
-    floor = max(one.sighting.floor_px for one in seen)
+    floor = max(one.observation.floor_px for one in seen)
     noise = math.sqrt(max(u**2 - floor**2, 0.0))
     moved = float(np.abs(pixel - was).max()) > SAME_PX
     px = math.hypot(noise, math.sqrt(2) * floor if moved else 0.0)

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from calib.certificate.budgets import budgets
-from calib.certificate.data import NONE, Annex, Table
-from calib.certificate.inputs import CalibrationSummary, CertificateInputs, Provenance
+from calib.certificate.data import NONE, Annex, AnnexTable
+from calib.certificate.inputs import CalibrationSummary, CertificateInputs, CertificateProvenance
 from calib.certificate.numbers import (
     check_error,
     covariance,
@@ -75,7 +75,7 @@ def _monte_carlo(depths: Sequence[CertifiedDepth]) -> Annex | None:
             "k, the comparison is made with 1.96, and the linear interval is not stated."
         ),
         tables=(
-            Table(
+            AnnexTable(
                 title="Distribution of the measured depth and its 95 % intervals, mm",
                 columns=(
                     "Depth", "Mean", "u", "Symmetric", "Shortest", "Linear",
@@ -148,7 +148,7 @@ def _positions(depths: Sequence[CertifiedDepth]) -> Annex | None:
             "Monte Carlo trials; a normal distribution would have k = 2.80."
         ),
         tables=(
-            Table(
+            AnnexTable(
                 title="Position with its 95 % ellipsoid",
                 columns=(
                     "x, y, z / mm", "u(x), u(y), u(z) / mm", "r(x,y), r(x,z), r(y,z)", "k",
@@ -180,7 +180,7 @@ def _checks(evidence: Evidence) -> Annex | None:
             f"{some}"
         ),
         tables=(
-            Table(
+            AnnexTable(
                 title="Measured against reference depth",
                 columns=tuple(columns),
                 rows=tuple(_check_row(c, judged=judged) for c in listed),
@@ -226,7 +226,7 @@ def _lengths(evidence: Evidence) -> Annex | None:
         title="Lengths",
         introduction=LENGTHS_NOTE,
         tables=(
-            Table(
+            AnnexTable(
                 title="Measured against reference lengths",
                 columns=("Length", "Reference / mm", "Measured / mm", "Error / mm", "U / mm", "k"),
                 rows=tuple(_length_row(e) for e in evidence.lengths),
@@ -288,7 +288,7 @@ def _correlations(calibration: CalibrationSummary) -> Annex:
         ),
         tables=(
             *_covariance(p, symbols, covered, note=units),
-            Table(title="Correlation coefficients", columns=("", *symbols), rows=rows),
+            AnnexTable(title="Correlation coefficients", columns=("", *symbols), rows=rows),
         ),
     )
 
@@ -303,7 +303,7 @@ def _covariance(
     covered: Sequence[Sequence[str]],
     *,
     note: str,
-) -> tuple[Table, ...]:
+) -> tuple[AnnexTable, ...]:
     """Return estimates and covariance, in as many tables as their columns need."""
     title, heads = "Estimate, standard uncertainty and covariance", ("", "Estimate", "u")
     stated = [(both.value, both.uncertainty) for both in _estimates(p)]
@@ -312,13 +312,13 @@ def _covariance(
         rows = tuple(
             (head, *own, *cells) for (head, *cells), own in zip(covered, stated, strict=True)
         )
-        return (Table(title=title, columns=(*heads, *symbols), rows=rows, note=note),)
+        return (AnnexTable(title=title, columns=(*heads, *symbols), rows=rows, note=note),)
     first = tuple((head, *own) for (head, *_), own in zip(covered, stated, strict=True))
-    tables = [Table(title="Estimate and standard uncertainty", columns=heads, rows=first)]
+    tables = [AnnexTable(title="Estimate and standard uncertainty", columns=heads, rows=first)]
     for start in range(0, len(symbols), COLUMNS):
         end = min(start + COLUMNS, len(symbols))
         tables.append(
-            Table(
+            AnnexTable(
                 title=f"Covariance, columns {symbols[start]} to {symbols[end - 1]}",
                 columns=("", *symbols[start:end]),
                 rows=tuple((head, *cells[start:end]) for head, *cells in covered),
@@ -342,7 +342,7 @@ def _mantissa(cell: str) -> str:
     return f"{float(cell):.6e}"
 
 
-def _provenance(p: Provenance, gates: Sequence[Gate]) -> Annex:
+def _provenance(p: CertificateProvenance, gates: Sequence[Gate]) -> Annex:
     facts = [
         ("Dataset", f"{clean(p.dataset_title)} ({clean(p.dataset_name)})"),
         ("Source of the data", clean(p.citation)),
@@ -355,10 +355,12 @@ def _provenance(p: Provenance, gates: Sequence[Gate]) -> Annex:
     checks = tuple(
         (clean(g.name), "passed" if g.passed else "FAILED", clean(g.detail)) for g in gates
     )
-    tables = [Table(title="Data and software", columns=("", ""), rows=tuple(facts), words=(0, 1))]
+    tables = [
+        AnnexTable(title="Data and software", columns=("", ""), rows=tuple(facts), words=(0, 1))
+    ]
     if checks:
         tables.append(
-            Table(
+            AnnexTable(
                 title="Checks of the calibration",
                 columns=("Check", "Outcome", "Detail"),
                 rows=checks,

@@ -6,12 +6,12 @@ from calib.certificate.inputs import (
     Administration,
     CalibrationSummary,
     CertificateInputs,
-    Derived,
+    CertificateProvenance,
+    DerivedQuantity,
     Issue,
-    Provenance,
 )
-from calib.dataset.manifest import Camera as Stated
-from calib.dataset.manifest import Certificate, Manifest, Rig
+from calib.dataset.manifest import CameraSection as Stated
+from calib.dataset.manifest import CertificateSection, Manifest, RigSection
 from calib.geometry.camera import Camera
 from calib.geometry.lens import PROJECTIONS
 from calib.instrument.calibrated import EVALUATION, CalibratedInstrument
@@ -52,7 +52,7 @@ def assemble(
     return CertificateInputs(
         administration=_administration(manifest.certificate, manifest.rig, gaze),
         issue=issue,
-        provenance=Provenance(
+        provenance=CertificateProvenance(
             dataset_name=calibration.name,
             dataset_title=manifest.heading,
             dataset_sha256=calibration.sha256,
@@ -69,7 +69,9 @@ def assemble(
     )
 
 
-def _administration(stated: Certificate, rig: Rig, gaze: GazeResult) -> Administration:
+def _administration(
+    stated: CertificateSection, rig: RigSection, gaze: GazeResult
+) -> Administration:
     values = stated.model_dump(exclude={"tolerance", "decision_rule"})
     values["serial"] = stated.serial or rig.serial
     if gaze.correction is not None:
@@ -107,7 +109,7 @@ def _summary(
         noise_factor=calibrated.noise_factor,
         derived=()
         if derived is None
-        else (Derived("L_b + e", "baseline seen at 90°", "mm", *derived, interval),),
+        else (DerivedQuantity("L_b + e", "baseline seen at 90°", "mm", *derived, interval),),
         intrinsics=lens_words(manifest.cameras.c1, calibrated.setup.cameras.c1),
     )
 

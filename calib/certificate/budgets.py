@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 
 from calib.certificate.budget_lines import budget_lines, count
-from calib.certificate.data import NONE, Annex, BudgetLine, Table
+from calib.certificate.data import NONE, Annex, AnnexTable, BudgetLine
 from calib.certificate.numbers import depth_line
 from calib.geometry.parameters import GAZED_BASELINE
 from calib.results.wording import CAMERA_LINES, GROUP_LINE
@@ -71,13 +71,13 @@ def _combined(b: Budget, mean_gaze_rad: float) -> str:
     )
 
 
-def _sources(depths: Sequence[CertifiedDepth]) -> Table:
+def _sources(depths: Sequence[CertifiedDepth]) -> AnnexTable:
     """Return what each source contributes at each depth."""
     lines = [depth_line(d) for d in depths]
     found = [{e.label: e.value for e in line.contributions} for line in lines]
     names = dict.fromkeys(name for column in found for name in column)
     together = [with_uncertainty(0.0, d.result.budget.standard_uncertainty) for d in depths]
-    return Table(
+    return AnnexTable(
         title="Contributions to u(z), mm",
         columns=("Source", *(f"at {line.depth.value} mm" for line in lines)),
         rows=(
@@ -88,12 +88,12 @@ def _sources(depths: Sequence[CertifiedDepth]) -> Table:
     )
 
 
-def _budget(r: DepthUncertainty, note: str) -> Table:
+def _budget(r: DepthUncertainty, note: str) -> AnnexTable:
     b = r.budget
     rows = _rows(budget_lines(b))
     u = with_uncertainty(b.estimate, b.standard_uncertainty)
     rows.append(("depth z", f"{u.value} mm", f"{u.uncertainty} mm", *[NONE] * 5, "100.0"))
-    return Table(
+    return AnnexTable(
         title=f"Depth {u.value} mm at x1c = {fixed(r.x1c, 3)}",
         columns=(
             "Quantity", "Estimate", "u", "Type", "Distribution", "ν", "Sensitivity",

@@ -8,7 +8,7 @@ from dataclasses import replace
 from scipy.special import bdtr
 
 from calib.certificate.annexes import annexes, length_limit_words
-from calib.certificate.data import CertificateData, Conclusion, Entry, Judgement, Result
+from calib.certificate.data import CertificateData, CertificateField, Conclusion, Judgement, Result
 from calib.certificate.figure import depth_figure
 from calib.certificate.inputs import Administration, CalibrationSummary, CertificateInputs
 from calib.certificate.numbers import (
@@ -324,18 +324,22 @@ def _errors(where: str, checks: Sequence[CheckedDepth]) -> str:
 
 def _statements(
     depths: Sequence[CertifiedDepth], next_calibration: str | None
-) -> tuple[Entry, ...]:
+) -> tuple[CertificateField, ...]:
     meanings = []
     if any(d.result.linear_valid for d in depths):
         meanings.append(LINEAR_MEANING)
     if any(not d.result.linear_valid for d in depths):
         meanings.append(MONTE_CARLO_MEANING)
     # Only where the customer wants one: ISO/IEC 17025:2017, 7.8.4.3.
-    date = () if next_calibration is None else (Entry(NEXT_CALIBRATION, clean(next_calibration)),)
+    date = (
+        ()
+        if next_calibration is None
+        else (CertificateField(NEXT_CALIBRATION, clean(next_calibration)),)
+    )
     return (
-        Entry("Uncertainty", " ".join([ONE_READING, *meanings])),
-        Entry("Validity", f"{RELATES} {STABILITY} {ADJUSTMENT}"),
+        CertificateField("Uncertainty", " ".join([ONE_READING, *meanings])),
+        CertificateField("Validity", f"{RELATES} {STABILITY} {ADJUSTMENT}"),
         *date,
-        Entry("Reproduction", REPRODUCTION),
-        Entry("Accreditation", NO_ACCREDITATION),
+        CertificateField("Reproduction", REPRODUCTION),
+        CertificateField("Accreditation", NO_ACCREDITATION),
     )

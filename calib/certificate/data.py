@@ -15,7 +15,7 @@ NONE = "-"
 
 
 @dataclass(frozen=True)
-class Entry:
+class CertificateField:
     """A field of the certificate: label and value."""
 
     label: str
@@ -166,12 +166,12 @@ class DepthLine:
     judgement: Judgement | None
     extrapolated: bool
     region: Region
-    contributions: tuple[Entry, ...]
+    contributions: tuple[CertificateField, ...]
     budget: tuple[BudgetLine, ...]
 
 
 @dataclass(frozen=True)
-class Table:
+class AnnexTable:
     """A table of an annex.
 
     Parameters
@@ -201,7 +201,7 @@ class Annex:
 
     title: str
     introduction: str
-    tables: tuple[Table, ...]
+    tables: tuple[AnnexTable, ...]
 
 
 @dataclass(frozen=True)
@@ -312,7 +312,7 @@ class CertificateData:
     length_summary: str | None
     checks: tuple[tuple[Result, Judgement | None], ...]
     lengths: tuple[Result, ...]
-    statements: tuple[Entry, ...]
+    statements: tuple[CertificateField, ...]
     figure: Figure | None
     annexes: tuple[Annex, ...]
     software: tuple[tuple[str, str], ...]
@@ -321,21 +321,33 @@ class CertificateData:
     calibration_sha256: str
 
     @property
-    def fields(self) -> tuple[tuple[Entry, ...], ...]:
+    def fields(self) -> tuple[tuple[CertificateField, ...], ...]:
         """The administrative fields in the lines of the first page, one or two a line."""
         return (
-            (Entry("Laboratory", self.laboratory),),
-            (Entry("Address", self.address),),
-            (Entry("Customer", self.customer),),
-            (Entry("Item calibrated", self.item),),
-            (Entry("Serial number", self.serial), Entry("Condition", self.condition)),
-            (Entry("Place of calibration", self.place), Entry("Conditions", self.conditions)),
+            (CertificateField("Laboratory", self.laboratory),),
+            (CertificateField("Address", self.address),),
+            (CertificateField("Customer", self.customer),),
+            (CertificateField("Item calibrated", self.item),),
             (
-                Entry("Date of receipt", self.received),
-                Entry("Date of calibration", self.calibrated),
+                CertificateField("Serial number", self.serial),
+                CertificateField("Condition", self.condition),
             ),
-            (Entry("Date of issue", self.issued), Entry("Deviations", self.deviations)),
-            (Entry("Calibrated by", self.operator), Entry("Authorised by", self.approved_by)),
-            (Entry("Method", self.method),),
-            (Entry("Traceability", self.traceability),),
+            (
+                CertificateField("Place of calibration", self.place),
+                CertificateField("Conditions", self.conditions),
+            ),
+            (
+                CertificateField("Date of receipt", self.received),
+                CertificateField("Date of calibration", self.calibrated),
+            ),
+            (
+                CertificateField("Date of issue", self.issued),
+                CertificateField("Deviations", self.deviations),
+            ),
+            (
+                CertificateField("Calibrated by", self.operator),
+                CertificateField("Authorised by", self.approved_by),
+            ),
+            (CertificateField("Method", self.method),),
+            (CertificateField("Traceability", self.traceability),),
         )

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from calib.certificate.data import (
     BudgetLine,
     CertificateData,
+    CertificateField,
     DepthLine,
-    Entry,
     Judgement,
     Matrix,
     Region,
@@ -220,7 +220,7 @@ def _budget_line(line: BudgetLine) -> Content:
     )
 
 
-def _contributions(sources: Sequence[Entry]) -> Content:
+def _contributions(sources: Sequence[CertificateField]) -> Content:
     return dcc(
         "list",
         rich_text("name", "contributions to the standard uncertainty of depth"),

@@ -73,7 +73,7 @@ class Issue:
 
 
 @dataclass(frozen=True)
-class Provenance:
+class CertificateProvenance:
     """Data and software behind the certificate.
 
     Parameters
@@ -103,7 +103,7 @@ class Provenance:
 
 
 @dataclass(frozen=True)
-class Derived:
+class DerivedQuantity:
     """A quantity that follows from the parameters.
 
     Parameters
@@ -161,7 +161,7 @@ class CalibrationSummary:
     reference: str | None
     calibrated_mm: tuple[float, float]
     noise_factor: float = 1.0
-    derived: tuple[Derived, ...] = ()
+    derived: tuple[DerivedQuantity, ...] = ()
     intrinsics: str | None = None
 
 
@@ -179,7 +179,7 @@ class CertificateInputs:
 
     administration: Administration
     issue: Issue
-    provenance: Provenance
+    provenance: CertificateProvenance
     calibration: CalibrationSummary
     evidence: Evidence
     gates: tuple[Gate, ...] = ()

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from calib.certificate.budget_lines import budget_lines, symbol
-from calib.certificate.data import DepthLine, Entry, Judgement, Matrix, Region, Result
+from calib.certificate.data import CertificateField, DepthLine, Judgement, Matrix, Region, Result
 from calib.certificate.inputs import CalibrationSummary
 from calib.geometry.parameters import INDEX, PARAMETERS
 from calib.results.wording import VERDICTS, clean
@@ -128,7 +128,9 @@ def depth_line(certified: CertifiedDepth) -> DepthLine:
         extrapolated=certified.extrapolated,
         region=_region(certified.position),
         contributions=tuple(
-            Entry(symbol(name), at_place(part, uncertainty=r.budget.standard_uncertainty / 10))
+            CertificateField(
+                symbol(name), at_place(part, uncertainty=r.budget.standard_uncertainty / 10)
+            )
             for name, part in r.budget.sources
         ),
         budget=budget_lines(r.budget),

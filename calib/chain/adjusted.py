@@ -29,7 +29,7 @@ from calib.instrument.calibrated import CalibratedInstrument, tabulate_depths
 from calib.instrument.evidence import gather_evidence
 from calib.instrument.validation import measure_validation
 from calib.results.calibration import GazeResult
-from calib.rows.common_errors import Shared
+from calib.rows.common_errors import CommonErrors
 from calib.rows.from_table import Setup, ValidationRows, observe_validation
 from calib.rows.observations import Observations
 from calib.rows.repeated_readings import observe_gazes
@@ -44,7 +44,7 @@ def chosen(
     method: str,
     gaze: GazeResult,
     rows: Observations,
-    shared: Shared,
+    shared: CommonErrors,
     adjustment: Adjustment,
 ) -> Choice:
     """Return from what the instrument is taken.
@@ -73,7 +73,7 @@ def of_record(
     dataset: Dataset,
     method: str,
     rows: Staged[Observations],
-    shared: Staged[Shared],
+    shared: Staged[CommonErrors],
     adjustment: Staged[Adjustment] | None,
 ) -> Callable[[GazeResult], bool]:
     """Return what tells whether the instrument by the rows is of record, and so is certified."""

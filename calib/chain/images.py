@@ -13,18 +13,18 @@ from calib.core.arrays import FloatArray
 from calib.dataset.contents import Dataset
 from calib.dataset.given_lens import given_lens_covariance
 from calib.dataset.tables import GazeTable
-from calib.fit.priors import Measured
+from calib.fit.priors import MeasuredParameters
 from calib.geometry.board import Corners
 from calib.geometry.camera import intrinsic_names
 from calib.images import stages as images_stages
-from calib.images.contact_sheet import ContactSheet, Pictures, contact_sheet
+from calib.images.contact_sheet import ContactSheet, SheetPictures, contact_sheet
 from calib.images.intrinsics.calibrate import Intrinsics
 from calib.images.result import ImageResult
 from calib.images.stages import (
     Besides,
     Chosen,
-    Known,
     KnownCamera,
+    KnownCorners,
     Pairs,
     SweepInput,
     find_corners,
@@ -33,7 +33,7 @@ from calib.images.stereo.reference import StereoReference
 from calib.images.stereo.solve import CameraPair
 from calib.images.sweep.solve import SweepReadings
 from calib.images.sweep.yaw_axis import SweepResult
-from calib.rows.common_errors import Shared
+from calib.rows.common_errors import CommonErrors
 from calib.rows.from_images import CornerNoise, observe_images, shared_errors
 from calib.rows.from_table import CameraSet, ImageObservations
 from calib.stages.store import Staged, Store, given, optional, stage
@@ -51,7 +51,7 @@ class ImageStages:
     stereo: Staged[StereoReference] | None
     sweep: Staged[SweepResult] | None
     cameras: CameraSet
-    shared: Staged[Shared]
+    shared: Staged[CommonErrors]
     pairs: Mapping[str, tuple[str, str]]
 
     def failures(self) -> dict[str, str]:
@@ -70,12 +70,12 @@ class ImageStages:
             pairs=self.pairs,
         )
 
-    def measured(self) -> Measured | None:
+    def measured(self) -> MeasuredParameters | None:
         """Return the sweep's knowledge of the model's parameters."""
         result = None if self.sweep is None else self.sweep.get()
         if result is None:
             return None
-        return Measured(result.names, result.mean, result.covariance)
+        return MeasuredParameters(result.names, result.mean, result.covariance)
 
 
 def image_stages(dataset: Dataset, store: Store, seed: int) -> ImageStages:
@@ -91,7 +91,7 @@ def image_stages(dataset: Dataset, store: Store, seed: int) -> ImageStages:
             continue
         known = {n: c for n, c in dataset.corner_cache.items() if n in pictures.names}
         asked = given(f"pictures {camera}", pictures)
-        cached = given("known corners", Known(known))
+        cached = given("known corners", KnownCorners(known))
         # fmt: off
         corners[camera] = store.run(stage(
             f"corners {camera}", find_corners,
@@ -116,7 +116,7 @@ def image_stages(dataset: Dataset, store: Store, seed: int) -> ImageStages:
     intrinsics = _refined(store, corners, intrinsics, stereo)
     rig = camera_pair(dataset, intrinsics)
     sweep = _sweep(dataset, store, corners, board, intrinsics, stereo)
-    shared = given("shared errors", Shared())
+    shared = given("shared errors", CommonErrors())
     if rig is not None:
         good = stereo if stereo is not None and stereo.failed is None else None
         shared = store.run(stage("shared errors", shared_errors, rig, optional(good)))
@@ -161,7 +161,7 @@ def image_observations(
     ))  # fmt: skip
 
 
-def _pictures(dataset: Dataset, camera: str) -> Pictures | None:
+def _pictures(dataset: Dataset, camera: str) -> SheetPictures | None:
     """Return all images of a camera, each once; None if it has none."""
     names = tuple(dict.fromkeys(_named(dataset, camera)))
     if not names:
@@ -173,7 +173,7 @@ def _pictures(dataset: Dataset, camera: str) -> Pictures | None:
     hashes = tuple(
         "" if name in dataset.corner_cache else dataset.image_sha256[name] for name in names
     )
-    return Pictures(camera, names, hashes, size)
+    return SheetPictures(camera, names, hashes, size)
 
 
 def _detector(dataset: Dataset) -> str:
@@ -206,11 +206,11 @@ def _known_camera(
     return given(f"camera {name}", KnownCamera(camera, covariance))
 
 
-def _of_given_lenses(dataset: Dataset) -> Shared:
+def _of_given_lenses(dataset: Dataset) -> CommonErrors:
     """Return what all rows have wrong by given lenses, where tables name their pixels."""
     names = [f"{n}.{part}" for n, c in dataset.cameras.items() for part in intrinsic_names(c)]
     blocks = [given_lens_covariance(dataset, name) for name in dataset.cameras]
-    return Shared.of(tuple(names), block_diag(*blocks))
+    return CommonErrors.of(tuple(names), block_diag(*blocks))
 
 
 def _camera_set(dataset: Dataset, intrinsics: Mapping[str, Staged[Intrinsics]]) -> CameraSet:

@@ -23,7 +23,7 @@ DONE, GATE_FAILED = 0, 3
 
 
 @dataclass(frozen=True)
-class Calibrated:
+class FinishedRun:
     """A finished run.
 
     Parameters
@@ -76,7 +76,7 @@ def calibrate(
     depths_mm: tuple[float, float] | None = None,
     method: Literal["rows", "adjustment"] | None = None,
     force: bool = False,
-) -> Calibrated:
+) -> FinishedRun:
     """Run the whole chain on a dataset, as ``calib calibrate`` does.
 
     It runs in a process of its own, so that the bytes of calibration.json do not depend on how
@@ -101,7 +101,7 @@ def calibrate(
     Returns
     -------
     Calibrated
-        Look at `Calibrated.passed` before the result is used.
+        Look at `FinishedRun.passed` before the result is used.
 
     Raises
     ------
@@ -130,7 +130,7 @@ def calibrate(
     )
     if ended.returncode not in (DONE, GATE_FAILED):
         raise CalibError(_told(ended.returncode, ended.stderr))
-    return Calibrated(out)
+    return FinishedRun(out)
 
 
 def _told(status: int, stderr: str) -> str:

@@ -14,7 +14,7 @@ from calib.cli.voice import add_voice, print_json
 from calib.stages.output_guard import OutputKind
 
 if TYPE_CHECKING:
-    from calib.history.drift import Run
+    from calib.history.drift import ComparedRun
 
 PAGE = OutputKind(is_folder=False, marks=(b'content="calib compare"',))
 """Known by its generator."""
@@ -67,7 +67,7 @@ def run(arguments: argparse.Namespace) -> int:
     return GATE_FAILED if any(minded) else DONE
 
 
-def _of_more_rigs(runs: Sequence[Run]) -> str | None:
+def _of_more_rigs(runs: Sequence[ComparedRun]) -> str | None:
     """Return a warning where runs do not say that they are of one rig, or say that they are not."""
     serials = [run.measuring.serial for run in runs]
     known = list(dict.fromkeys(serial for serial in serials if serial is not None))

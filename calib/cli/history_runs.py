@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from calib.history.certified import Standard
-    from calib.history.entry import Entry
+    from calib.history.entry import IndexEntry
     from calib.instrument.calibration_file import Measuring
 
 NOT_ALL = 3
@@ -193,7 +193,7 @@ def _repairs(arguments: argparse.Namespace) -> dict[str, date]:
     return {one_spelling(arguments.rig): arguments.repaired}
 
 
-def _counting(arguments: argparse.Namespace) -> Sequence[Entry]:
+def _counting(arguments: argparse.Namespace) -> Sequence[IndexEntry]:
     """Return the calibrations of the rig that was asked for, since its last repair."""
     from calib.history.index import history
     from calib.history.summary import since

@@ -8,7 +8,7 @@ from calib.dataset import manifest
 from calib.geometry.board import Board
 
 
-def board_of(section: manifest.Board) -> Board:
+def board_of(section: manifest.BoardSection) -> Board:
     """Return the board that a section describes; without a target its middle corner."""
     return Board(
         type=section.type,

@@ -29,7 +29,7 @@ SPREAD = 1e-3
 
 
 @dataclass(frozen=True)
-class Reading:
+class ReadingConvention:
     """How a reading r becomes alpha2_deg: offset + factor * r.
 
     Parameters
@@ -69,13 +69,13 @@ class Misfit:
     zero_rad: float
 
 
-AS_READ = Reading(0.0, 1.0, "degrees as they should be", "leave them")
-REVERSED = Reading(
+AS_READ = ReadingConvention(0.0, 1.0, "degrees as they should be", "leave them")
+REVERSED = ReadingConvention(
     180.0, -1.0, "the encoder counts the wrong way round", "give 180 - alpha2_deg instead"
 )
 _MRAD = float(np.rad2deg(1e-3))
 
-GON = Reading(0.0, 0.9, "gon", "give 0.9 times the reading, in degrees")
+GON = ReadingConvention(0.0, 0.9, "gon", "give 0.9 times the reading, in degrees")
 
 
 def misfit(x1c: FloatArray, alpha2_deg: FloatArray, z_mm: FloatArray) -> Misfit | None:
@@ -113,7 +113,7 @@ def readings_outside(
     *,
     step_deg: float | None,
     is_left: bool,
-) -> Reading | None:
+) -> ReadingConvention | None:
     """Return what readings are that do not all lie within (0, 180); None if nothing tells.
 
     Parameters
@@ -145,50 +145,54 @@ def readings_outside(
     return _by_range(known, possible)
 
 
-def _candidates(known: FloatArray, step_deg: float | None) -> Iterator[Reading]:
+def _candidates(known: FloatArray, step_deg: float | None) -> Iterator[ReadingConvention]:
     """Yield what readings may be that do not lie within (0, 180)."""
     most = float(np.abs(known).max(initial=0.0))
     if most < 90 and known.min() < 0:
-        yield Reading(90, 1, "they count about 0", "add 90 to each")
-        yield Reading(90, -1, "they count about 0, the wrong way round", "give 90 less the reading")
+        yield ReadingConvention(90, 1, "they count about 0", "add 90 to each")
+        yield ReadingConvention(
+            90, -1, "they count about 0, the wrong way round", "give 90 less the reading"
+        )
     if 180 <= most < 360 and known.min() > 0:
         for start in (90.0, 180.0):
-            yield Reading(
+            yield ReadingConvention(
                 -start, 1, f"they count from {start:g} degrees further", f"take {start:g} from each"
             )
-            yield Reading(
+            yield ReadingConvention(
                 180 + start, -1, "they count the wrong way round, from another zero",
                 f"give {180 + start:g} less the reading",
             )  # fmt: skip
     if most > 360:
-        yield Reading(0, _MRAD, "milliradians", "give 0.0572958 times the reading")
+        yield ReadingConvention(0, _MRAD, "milliradians", "give 0.0572958 times the reading")
     if step_deg is None or most < 180 or np.any(known != np.round(known)):
         return
     counts = "they are counts of the encoder"
-    yield Reading(0, step_deg, counts, f"give them times resolution_deg, {step_deg:g}")
-    yield Reading(
+    yield ReadingConvention(0, step_deg, counts, f"give them times resolution_deg, {step_deg:g}")
+    yield ReadingConvention(
         90, step_deg, f"{counts} about 0", f"give 90 plus them times resolution_deg, {step_deg:g}"
     )
     turned = f"{counts}, which counts the wrong way round"
-    yield Reading(180, -step_deg, turned, f"give 180 less them times resolution_deg, {step_deg:g}")
-    yield Reading(
+    yield ReadingConvention(
+        180, -step_deg, turned, f"give 180 less them times resolution_deg, {step_deg:g}"
+    )
+    yield ReadingConvention(
         90, -step_deg, f"{turned}, about 0",
         f"give 90 less them times resolution_deg, {step_deg:g}",
     )  # fmt: skip
 
 
-def _by_range(known: FloatArray, possible: list[Reading]) -> Reading | None:
+def _by_range(known: FloatArray, possible: list[ReadingConvention]) -> ReadingConvention | None:
     """Return what readings look like where no depths tell."""
     if len(possible) == 1:
         return possible[0]
     most = float(np.abs(known).max(initial=0.0))
     if most < 90 and known.min() < 0:
-        return Reading(
+        return ReadingConvention(
             90, 1, "they count about 0",
             "add 90 to each, or give 90 less each where it counts the other way round",
         )  # fmt: skip
     if most > 360 and np.all(known == np.round(known)):
-        return Reading(
+        return ReadingConvention(
             0, 1, "they are counts of the encoder",
             "give them times resolution_deg, from the zero of the frame (at 90 C2 looks parallel "
             "to Z of C1)",

@@ -12,7 +12,7 @@ from calib.dataset.conventions import better_convention, misfit
 from calib.dataset.encoder import FURTHER
 from calib.dataset.given_lens import assumed_of_lens
 from calib.dataset.lens_slips import lens_doubts
-from calib.dataset.manifest import Gaze, Validation
+from calib.dataset.manifest import GazeSection, ValidationSection
 from calib.dataset.tables import GazeTable
 from calib.geometry.camera import normalise
 
@@ -231,6 +231,6 @@ def _gaze_doubts(dataset: Dataset, gaze: GazeTable) -> Iterator[str]:
         )
 
 
-def _stated_depth(section: Gaze | Validation) -> tuple[float, ...]:
+def _stated_depth(section: GazeSection | ValidationSection) -> tuple[float, ...]:
     """Return all that a section states of the uncertainty of z."""
     return section.u_z_mm, section.u_z_rel, section.u_z_group_mm, section.u_z_group_rel

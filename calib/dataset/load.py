@@ -199,7 +199,7 @@ class _Loading:
         return scanned.table
 
     def _corner_cache(
-        self, section: spec.Board | None, board: Board | None
+        self, section: spec.BoardSection | None, board: Board | None
     ) -> Mapping[str, FloatArray]:
         """Return the corners found before; none if the manifest names no cache."""
         if section is None or section.corners is None or board is None:
@@ -261,7 +261,7 @@ class _Loading:
         return named
 
     def _stereo_pairs(
-        self, stereo: spec.Stereo | None, cache: Mapping[str, FloatArray]
+        self, stereo: spec.StereoSection | None, cache: Mapping[str, FloatArray]
     ) -> Mapping[str, tuple[str, str]]:
         """Return the pairs by their common name; an image without its partner is a warning.
 
@@ -298,7 +298,9 @@ class _Loading:
         pairs = {stem: (first[stem], second[stem]) for stem in stems}
         return MappingProxyType({s: pair for s, pair in pairs.items() if not out & {*pair}})
 
-    def _sweep(self, table: SweepTable | None, section: spec.Sweep | None) -> SweepTable | None:
+    def _sweep(
+        self, table: SweepTable | None, section: spec.SweepSection | None
+    ) -> SweepTable | None:
         """Return the sweep without the images that are left out."""
         if table is None or section is None or not section.exclude:
             return table
@@ -328,7 +330,7 @@ class _Loading:
                 cameras[name] = camera
         return MappingProxyType(cameras)
 
-    def _camera(self, section: spec.Camera, name: str) -> Camera | None:
+    def _camera(self, section: spec.CameraSection, name: str) -> Camera | None:
         where = f"{MANIFEST}, [cameras.{name}] model"
         if section.image_size is not None and section.matrix is not None:
             return stated_camera(section, section.image_size)

@@ -59,7 +59,7 @@ DICTIONARIES = (
 """Marker sets that OpenCV knows by name."""
 
 
-class Source(Section):
+class SourceSection(Section):
     """Where the data come from; printed, never interpreted."""
 
     citation: Prose | None = None
@@ -69,7 +69,7 @@ class Source(Section):
     notes: Prose | None = None
 
 
-class Board(Section):
+class BoardSection(Section):
     """The calibration board; `columns` and `rows` count inner corners.
 
     `corners` is a corner cache in mrcal's format; `target` the corner that is gazed at; `detector`
@@ -100,7 +100,7 @@ class Board(Section):
         return (self.columns // 2, self.rows // 2) if self.has_centre else None
 
     @model_validator(mode="after")
-    def _check_target(self) -> Board:
+    def _check_target(self) -> BoardSection:
         if self.target == "centre" and not self.has_centre:
             refuse(
                 f'target = "centre", but no corner of {self.columns} x {self.rows} is the centre',
@@ -116,7 +116,7 @@ class Board(Section):
         return self
 
     @model_validator(mode="after")
-    def _check_markers(self) -> Board:
+    def _check_markers(self) -> BoardSection:
         if self.type == "chessboard":
             if self.dictionary is not None or self.marker_mm is not None or self.legacy:
                 refuse(
@@ -142,7 +142,7 @@ class Board(Section):
         return self
 
 
-class Camera(Section):
+class CameraSection(Section):
     """One camera: images of the board, a finished model, or given intrinsics.
 
     `projection` says of which lens model `distortion` is: "perspective" where it is left out.
@@ -161,7 +161,7 @@ class Camera(Section):
     u_centre_px: NotNegative | None = None
 
     @model_validator(mode="after")
-    def _check_source(self) -> Camera:
+    def _check_source(self) -> CameraSection:
         sources = [n for n in ("images", "model", "matrix") if getattr(self, n) is not None]
         if len(sources) != 1:
             what = " and ".join(sources) + " are given" if sources else "none is given"
@@ -174,7 +174,7 @@ class Camera(Section):
         return self
 
     @model_validator(mode="after")
-    def _check_matrix(self) -> Camera:
+    def _check_matrix(self) -> CameraSection:
         if self.exclude and self.images is None:
             refuse("exclude is given without images", "remove it")
         if self.images is not None and (self.u_focal, self.u_centre_px) != (None, None):
@@ -202,14 +202,14 @@ class Camera(Section):
         return self
 
 
-class Cameras(Section):
+class CamerasSection(Section):
     """The monitor camera C1 and the gazing camera C2."""
 
-    c1: Camera | None = None
-    c2: Camera | None = None
+    c1: CameraSection | None = None
+    c2: CameraSection | None = None
 
 
-class Stereo(Section):
+class StereoSection(Section):
     """The stereo reference: C2 held at one yaw. `transform` is 1T2, the pose of C2 in C1.
 
     `exclude` names an image of each pair that is left out.
@@ -227,7 +227,7 @@ class Stereo(Section):
         return self.c1 is not None
 
     @model_validator(mode="after")
-    def _check_source(self) -> Stereo:
+    def _check_source(self) -> StereoSection:
         if (self.c1 is None) != (self.c2 is None):
             refuse("only one of c1 and c2 is given", "give the images of both cameras")
         if self.c1 is None and self.transform is None:
@@ -239,7 +239,7 @@ class Stereo(Section):
         return self
 
 
-class Rig(Section):
+class RigSection(Section):
     """The rig: the side of C1 on which C2 stands, +X or -X, and the rig's serial number."""
 
     c2: Literal["right", "left"] = "right"
@@ -251,7 +251,7 @@ class Rig(Section):
         return self.c2 == "left"
 
 
-class Gaze(Section):
+class GazeSection(Section):
     """Calibration rows, and the standard uncertainties of rows that state none.
 
     `u_z_group_mm` and `u_z_group_rel` are of the error of z that rows of one group have in common,
@@ -273,7 +273,7 @@ class Gaze(Section):
         return origin_of(self.z_from, self.reference)
 
 
-class Validation(Section):
+class ValidationSection(Section):
     """Rows that are never used to fit; `reference` says what their z_mm is.
 
     Where `z_from` is not given, z_mm counts from where that of the calibration rows does.
@@ -293,35 +293,35 @@ class Validation(Section):
         return origin_of(self.z_from, self.reference)
 
 
-class Table(Section):
+class TableSection(Section):
     """A section that names a table and nothing else, such as lengths."""
 
     table: Line
 
 
-class Returns(Table):
+class Returns(TableSection):
     """Returns to the first target while rows were captured: whether the zero stood still."""
 
 
-class Corrections(Section):
+class CorrectionsSection(Section):
     """A diagnosed cause that is accepted: the rows are corrected by its estimate."""
 
     accept: AcceptedCause
 
 
-class Sweep(Table):
+class SweepSection(TableSection):
     """The yaw sweep; `exclude` names images that are left out."""
 
     exclude: tuple[Line, ...] = ()
 
 
-class Tolerance(Section):
+class ToleranceSection(Section):
     """What depth is certified against, in parts of z."""
 
     depth_rel: DepthTolerance
 
 
-class Certificate(Section):
+class CertificateSection(Section):
     """What the certificate prints; "not stated" where it is silent.
 
     `replaces` is the identifier of the certificate that this one amends, `amendment` the reason.
@@ -346,11 +346,11 @@ class Certificate(Section):
     replaces: Line | None = None
     amendment: Prose | None = None
     next_calibration: Day | None = None
-    tolerance: Tolerance | None = None
+    tolerance: ToleranceSection | None = None
     decision_rule: Literal["simple", "guard-band"] = "simple"
 
     @model_validator(mode="after")
-    def _check_amendment(self) -> Certificate:
+    def _check_amendment(self) -> CertificateSection:
         if self.amendment is not None and self.replaces is None:
             refuse(
                 "amendment is given without replaces",
@@ -365,27 +365,27 @@ class Manifest(Section):
     format: Literal[1]
     name: Line
     title: Line = ""
-    source: Source = Source()
-    rig: Rig = Rig()
-    board: Board | None = None
-    cameras: Cameras = Cameras()
-    stereo: Stereo | None = None
+    source: SourceSection = SourceSection()
+    rig: RigSection = RigSection()
+    board: BoardSection | None = None
+    cameras: CamerasSection = CamerasSection()
+    stereo: StereoSection | None = None
     encoder: Encoder | None = None
-    gaze: Gaze | None = None
-    validation: Validation | None = None
-    sweep: Sweep | None = None
-    lengths: Table | None = None
+    gaze: GazeSection | None = None
+    validation: ValidationSection | None = None
+    sweep: SweepSection | None = None
+    lengths: TableSection | None = None
     returns: Returns | None = None
     priors: Priors = Field(default_factory=dict)
-    corrections: Corrections | None = None
+    corrections: CorrectionsSection | None = None
     published: Published = Field(default_factory=dict)
-    certificate: Certificate = Certificate()
+    certificate: CertificateSection = CertificateSection()
 
     @property
     def heading(self) -> str:
         """What reports call the dataset."""
         return self.title or self.name
 
-    def camera(self, name: str) -> Camera | None:
+    def camera(self, name: str) -> CameraSection | None:
         """Return the section of camera "c1" or "c2"."""
         return {"c1": self.cameras.c1, "c2": self.cameras.c2}[name]

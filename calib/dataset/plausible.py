@@ -13,7 +13,7 @@ import numpy as np
 
 from calib.core.arrays import FloatArray
 from calib.dataset.cells import Cells
-from calib.dataset.conventions import Reading, better_convention
+from calib.dataset.conventions import ReadingConvention, better_convention
 
 RADIANS_BELOW = 3.2
 """Readings below this are radians: as degrees, C2 would look straight at C1."""
@@ -54,7 +54,7 @@ def check_normalised(cells: Cells, column: str, values: FloatArray) -> None:
     )
 
 
-Guess: TypeAlias = Callable[[FloatArray], Reading | None]
+Guess: TypeAlias = Callable[[FloatArray], ReadingConvention | None]
 """Says what readings are that do not all lie within (0, 180), if it can."""
 
 

@@ -55,7 +55,7 @@ SETTLED = 1e-3
 
 
 @dataclass(frozen=True)
-class Outcome:
+class BestTrial:
     """The best trial of a hypothesis.
 
     `gain` is its evidence, nats; `rival` that of an error which no hypothesis names and which is as
@@ -80,7 +80,7 @@ class Outcome:
         return self.gain - self.rival
 
 
-def best_of(hypothesis: Hypothesis, base: Base) -> Outcome | None:
+def best_of(hypothesis: Hypothesis, base: Base) -> BestTrial | None:
     """Return the best trial of a hypothesis, with the evidence of all its places together."""
     if hypothesis.name == "reference-offset" and REFERENCE_OFFSET in base.setting.model.free:
         return None
@@ -100,9 +100,9 @@ def best_of(hypothesis: Hypothesis, base: Base) -> Outcome | None:
     return replace(max(found, key=lambda outcome: outcome.gain), gain=gain)
 
 
-def _tried(trial: Trial, hypothesis: Hypothesis, base: Base) -> Iterator[Outcome]:
+def _tried(trial: Trial, hypothesis: Hypothesis, base: Base) -> Iterator[BestTrial]:
     """Yield what comes of a trial, its places refitted where they are promising."""
-    found: Outcome | None
+    found: BestTrial | None
     match trial:
         case Search():
             yield from _searched(trial, hypothesis, base)
@@ -122,7 +122,7 @@ def _tried(trial: Trial, hypothesis: Hypothesis, base: Base) -> Iterator[Outcome
         yield found
 
 
-def _searched(trial: Search, hypothesis: Hypothesis, base: Base) -> Iterator[Outcome]:
+def _searched(trial: Search, hypothesis: Hypothesis, base: Base) -> Iterator[BestTrial]:
     gains = base.linear.gains(trial.column, trial.patterns)
     for place in np.argsort(-gains, kind="stable")[:REFITTED]:
         loadings = trial.loadings(int(place))
@@ -137,7 +137,7 @@ def _prior(hypothesis: Hypothesis, count: int) -> FloatArray:
 
 def _loaded(
     loadings: FloatArray, prior_std: FloatArray, base: Base, start: FloatArray | None = None
-) -> Outcome | None:
+) -> BestTrial | None:
     extra = Added(loadings, prior_std)
     found = base.setting.refit(base.refit.theta, base.refit.scale, extra, start)
     if found is None:
@@ -146,12 +146,12 @@ def _loaded(
     gain = base.gain(refit) + by_small_prior(
         refit, loadings, extra.prior_std, base.linear, base.refit.scale
     )
-    return Outcome(
+    return BestTrial(
         None, refit, loadings, gain, refit.added, refit.covariance, base.refit, base.looked.rows.ids
     )
 
 
-def _implicit(trial: Periodic | Distorted, hypothesis: Hypothesis, base: Base) -> Outcome | None:
+def _implicit(trial: Periodic | Distorted, hypothesis: Hypothesis, base: Base) -> BestTrial | None:
     """Return the fit of errors that depend on the true gaze, which they are taken off to get."""
     rows = base.looked.rows
     loadings, best = trial.loadings(rows.gaze), None
@@ -167,7 +167,7 @@ def _implicit(trial: Periodic | Distorted, hypothesis: Hypothesis, base: Base) -
     return best
 
 
-def _two_sided(loadings: FloatArray, prior_std: FloatArray, base: Base) -> Outcome | None:
+def _two_sided(loadings: FloatArray, prior_std: FloatArray, base: Base) -> BestTrial | None:
     """Return the fit with each row on the side where it fits better.
 
     The evidence counts both sides of each row: nobody said on which it is.
@@ -199,7 +199,7 @@ def _two_sided(loadings: FloatArray, prior_std: FloatArray, base: Base) -> Outco
     )
 
 
-def _mended(trial: Mended, base: Base) -> Outcome | None:
+def _mended(trial: Mended, base: Base) -> BestTrial | None:
     if trial.exchanged and not _agree_better(trial, base):
         return None
     start = _start(trial, base)
@@ -211,7 +211,7 @@ def _mended(trial: Mended, base: Base) -> Outcome | None:
         return None
     refit = found[0]
     none = Added.none(len(trial.rows)).loadings
-    mended = Outcome(
+    mended = BestTrial(
         at=trial.at,
         refit=refit,
         loadings=none,
@@ -241,7 +241,7 @@ def _start(trial: Mended, base: Base) -> tuple[Setting, FloatArray, float] | Non
     return anew, theta, float(np.median(np.abs(missed))) / NORMAL_QUARTILE
 
 
-def _sized(share: FloatArray, mended: Outcome, base: Base) -> Outcome | None:
+def _sized(share: FloatArray, mended: BestTrial, base: Base) -> BestTrial | None:
     """Return what was mended with the size that the rows give the mistake; None if not near 1."""
     extra = Added(share, np.full(1, SHARE_STD))
     found = base.setting.refit(mended.refit.theta, mended.refit.scale, extra, np.ones(1))
@@ -269,7 +269,7 @@ def _agree_better(trial: Mended, base: Base) -> bool:
     )
 
 
-def carried_offset(bases: tuple[Base, ...]) -> Outcome | None:
+def carried_offset(bases: tuple[Base, ...]) -> BestTrial | None:
     """Return the evidence for the offset that the models have as a parameter."""
     without: list[tuple[float, Refit]] = []
     for base in bases:
@@ -291,7 +291,7 @@ def carried_offset(bases: tuple[Base, ...]) -> Outcome | None:
     value = best.refit.theta[[INDEX[REFERENCE_OFFSET]]]
     covariance = best.linear.covariance[place : place + 1, place : place + 1]
     none = Added.none(len(best.looked.rows)).loadings
-    return Outcome(
+    return BestTrial(
         None,
         best.refit,
         none,

@@ -10,7 +10,7 @@ import numpy as np
 from calib.core.arrays import FloatArray
 from calib.diagnosis.hypotheses import HYPOTHESES
 from calib.diagnosis.refit import Added, Linear, Refit, Setting, stated_errors
-from calib.diagnosis.session import Session
+from calib.diagnosis.session import HistoryArrays
 from calib.diagnosis.trials import Looked
 from calib.fit.priors import Priors, measured_of, prior_of
 from calib.fit.robust import LEFT_TO_PRIOR, RobustFit, too_much
@@ -66,7 +66,7 @@ def measured(theta: FloatArray) -> FloatArray:
 
 def bases(
     rows: Observations,
-    session: Session,
+    session: HistoryArrays,
     priors: Priors,
     fit: RobustFit,
     known: Added | None = None,
@@ -91,7 +91,7 @@ def bases(
     return tuple(replace(base, reference=reference) for base in told)
 
 
-def most_evident(rows: Observations, session: Session, priors: Priors, fit: RobustFit) -> str:
+def most_evident(rows: Observations, session: HistoryArrays, priors: Priors, fit: RobustFit) -> str:
     """Return the name of the model with the greatest evidence, of those that rows can carry."""
     models = [_model(name, rows, fit) for name in MODELS]
     some = [model for model in models if not too_much(rows, model)]
@@ -104,7 +104,7 @@ def most_evident(rows: Observations, session: Session, priors: Priors, fit: Robu
 def _all(
     models: Iterable[Model],
     rows: Observations,
-    session: Session,
+    session: HistoryArrays,
     priors: Priors,
     fit: RobustFit,
     known: Added | None,

@@ -13,7 +13,7 @@ import numpy as np
 
 from calib.core.arrays import FloatArray
 from calib.core.errors import EstimationError
-from calib.diagnosis.attempts import Outcome
+from calib.diagnosis.attempts import BestTrial
 from calib.diagnosis.engine import MOST_ROWS, Tried, attempt_of
 from calib.diagnosis.findings import Attempt
 from calib.diagnosis.hypotheses import HYPOTHESES
@@ -94,7 +94,7 @@ def correct_rows(
 
 def _outcome(
     rows: Observations, priors: Priors, history: RowHistory, *, accepted: str, is_left: bool
-) -> Outcome:
+) -> BestTrial:
     """Return what the rows make of the accepted cause, all rows looked at."""
     for model in MODELS_TRIED:
         try:

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.core.arrays import BoolArray
-from calib.diagnosis.attempts import Outcome, best_of, carried_offset
+from calib.diagnosis.attempts import BestTrial, best_of, carried_offset
 from calib.diagnosis.bases import Base, bases, measured
 from calib.diagnosis.findings import Attempt, Cause, Diagnosis, Suspect
 from calib.diagnosis.hypotheses import HYPOTHESES, Hypothesis
 from calib.diagnosis.refit import corrected
-from calib.diagnosis.session import RowHistory, Session
+from calib.diagnosis.session import HistoryArrays, RowHistory
 from calib.fit.priors import Priors
 from calib.fit.robust import RobustFit
 from calib.geometry.parameters import REFERENCE_OFFSET
@@ -63,7 +63,7 @@ class Tried:
 
     model: str
     base: Base
-    outcomes: dict[str, Outcome]
+    outcomes: dict[str, BestTrial]
     first: str | None = None
 
     @classmethod
@@ -102,7 +102,7 @@ class Tried:
         """Return what came of all rows and of those that are no outliers."""
         if not kept or not whole or not kept[0].is_free_enough():
             return None
-        outcomes: dict[str, Outcome] = {}
+        outcomes: dict[str, BestTrial] = {}
         for hypothesis in (HYPOTHESES[name] for name in only):
             for base in whole if hypothesis.name in OF_OUTLIERS else kept:
                 found = best_of(hypothesis, base)
@@ -173,7 +173,7 @@ class Tried:
             residual_mrad=np.stack([found.before.residual_mrad, found.refit.residual_mrad]),
         )
 
-    def _effect(self, hypothesis: Hypothesis, found: Outcome, depths: DepthTable) -> float:
+    def _effect(self, hypothesis: Hypothesis, found: BestTrial, depths: DepthTable) -> float:
         """Return the largest change of a depth over its standard uncertainty."""
         rows = self.base.looked.rows
         gaze: Gaze = rows.gaze
@@ -189,22 +189,22 @@ class Tried:
 
 def looked_at(
     rows: Observations, history: RowHistory, fit: RobustFit, *, is_left: bool
-) -> tuple[Observations, Session, BoolArray]:
+) -> tuple[Observations, HistoryArrays, BoolArray]:
     """Return the rows looked at, how they came about, and which of them are outliers."""
-    session = Session.of(rows, history, is_left=is_left)
+    session = HistoryArrays.of(rows, history, is_left=is_left)
     if len(rows) <= MOST_ROWS:
         return rows, session, fit.rejected
     some = np.linspace(0, len(rows) - 1, MOST_ROWS).astype(np.int64)
     return rows.take(some), session.take(some), fit.rejected[some]
 
 
-def attempt_of(hypothesis: Hypothesis, found: Outcome) -> Attempt:
+def attempt_of(hypothesis: Hypothesis, found: BestTrial) -> Attempt:
     """Return the best trial of a hypothesis in its unit."""
     value, std = _stated(hypothesis, found)
     return Attempt(hypothesis.name, found.at, value, std, found.gain)
 
 
-def _stated(hypothesis: Hypothesis, found: Outcome) -> tuple[float, float]:
+def _stated(hypothesis: Hypothesis, found: BestTrial) -> tuple[float, float]:
     """Return estimate and standard uncertainty in the hypothesis' unit."""
     values = found.values / hypothesis.per_unit
     if not len(values):

@@ -10,7 +10,7 @@ from calib.core.arrays import FloatArray
 from calib.diagnosis.attempts import IMPLICIT_ROUNDS
 from calib.diagnosis.findings import Suspect
 from calib.diagnosis.refit import corrected
-from calib.diagnosis.session import RowHistory, Session
+from calib.diagnosis.session import HistoryArrays, RowHistory
 from calib.diagnosis.trials import Distorted, Loaded, Looked, Mended, Periodic
 from calib.rows.from_table import ValidationRows
 from calib.rows.observations import Observations
@@ -39,7 +39,7 @@ def as_meant(
 def _mended(suspect: Suspect, rows: Observations, history: RowHistory) -> Observations | None:
     """Return readings without the mistake, their depths as they are."""
     here = RowHistory({}, {}, history.step_rad, history.full_step_rad)
-    session = Session.of(rows, here, is_left=False)
+    session = HistoryArrays.of(rows, here, is_left=False)
     trials = suspect.attempt.hypothesis.trials(Looked(rows, session, np.zeros(len(rows))))
     if len(trials) != 1:
         return None

@@ -21,7 +21,7 @@ from scipy.linalg import LinAlgError, cho_factor, cho_solve
 from calib.core.arrays import FloatArray
 from calib.fit.noise import ROBUST, log_density, own_sigma, weight
 from calib.fit.priors import Priors, measured_of, prior_of
-from calib.fit.reweighting import Problem
+from calib.fit.reweighting import FitProblem
 from calib.geometry.misclosure import misclosure
 from calib.geometry.parameters import Model, embed
 from calib.geometry.plane import OBSERVABLE, Gaze
@@ -271,7 +271,7 @@ class _Steps:
         precision[:p, :p] = known.precision
         precision[np.arange(p, p + k), np.arange(p, p + k)] = self.added.prior_std**-2.0
         shift = np.append(known.shift, np.zeros(k))
-        problem = Problem(self.setting.rows, model, stated, measured, priors.noise_scale, ROBUST)
+        problem = FitProblem(self.setting.rows, model, stated, measured, priors.noise_scale, ROBUST)
         x = np.append(theta[list(model.indices)], np.zeros(k))
         if start is not None:
             x[p : p + self.own] = start

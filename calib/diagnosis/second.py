@@ -11,13 +11,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.diagnosis.attempts import Outcome, best_of
+from calib.diagnosis.attempts import BestTrial, best_of
 from calib.diagnosis.bases import bases
 from calib.diagnosis.engine import AS_GOOD, DECISIVE, Tried, looked_at
 from calib.diagnosis.findings import Diagnosis
 from calib.diagnosis.hypotheses import HYPOTHESES
 from calib.diagnosis.refit import Added
-from calib.diagnosis.session import RowHistory, Session
+from calib.diagnosis.session import HistoryArrays, RowHistory
 from calib.diagnosis.structure import residual_structure, stretched_priors
 from calib.fit.noise import is_outlier
 from calib.fit.priors import Priors
@@ -138,8 +138,8 @@ class Task:
         return second if second is not None and second.named else None
 
     def _on_all_rows(
-        self, name: str, found: Outcome, rows: Observations, session: Session
-    ) -> Outcome:
+        self, name: str, found: BestTrial, rows: Observations, session: HistoryArrays
+    ) -> BestTrial:
         """Return a cause as all rows have it, those that were outliers without it among them."""
         if len(found.ids) == len(rows):
             return found

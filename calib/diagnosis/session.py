@@ -53,7 +53,7 @@ def _named(ids: tuple[str, ...], values: FloatArray) -> Mapping[str, float]:
 
 
 @dataclass(frozen=True)
-class Session:
+class HistoryArrays:
     """The rows' history, as arrays over the rows.
 
     Parameters
@@ -79,7 +79,7 @@ class Session:
     full_step_rad: float | None
 
     @classmethod
-    def of(cls, rows: Observations, history: RowHistory, *, is_left: bool) -> Session:
+    def of(cls, rows: Observations, history: RowHistory, *, is_left: bool) -> HistoryArrays:
         """Return the session of rows, which stand in their table's order.
 
         Parameters
@@ -111,13 +111,13 @@ class Session:
     def __len__(self) -> int:
         return len(self.ids)
 
-    def take(self, rows: BoolArray | IntArray) -> Session:
+    def take(self, rows: BoolArray | IntArray) -> HistoryArrays:
         """Return the session of the chosen rows; ranks close up."""
         index = np.arange(len(self))[rows]
         order = np.argsort(self.rank[index], kind="stable")
         rank = np.empty(len(index), dtype=np.int64)
         rank[order] = np.arange(len(index))
-        return Session(
+        return HistoryArrays(
             ids=tuple(self.ids[i] for i in index),
             groups=tuple(self.groups[i] for i in index),
             rank=rank,

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.core.arrays import FloatArray
-from calib.diagnosis.session import Session
+from calib.diagnosis.session import HistoryArrays
 from calib.fit.noise import outlier_limit
 from calib.geometry.plane import OBSERVABLE, Gaze
 from calib.rows.observations import Observations
@@ -151,7 +151,7 @@ class Looked:
     """
 
     rows: Observations
-    session: Session
+    session: HistoryArrays
     standardised: FloatArray
 
 

@@ -63,7 +63,7 @@ class StereoPart(Pose):
     )
 
 
-class Measured(Part):
+class MeasuredParameters(Part):
     """Jointly measured parameters."""
 
     names: tuple[str, ...] = Field(description="of the parameters")
@@ -81,6 +81,6 @@ class SweepPart(Part):
     eccentricity_mm: Estimate = Field(description="e, mm")
     gaze_roll_rad: Estimate = Field(description="roll of C2 about its optical axis, rad")
     encoder_scale: Estimate = Field(description="scale error of the encoder about 90 deg, 1")
-    measured: Measured = Field(description="what the rows' fits take from it, jointly")
+    measured: MeasuredParameters = Field(description="what the rows' fits take from it, jointly")
     rms_px: float = Field(description="of the residuals")
     images: int = Field(description="pictures used")

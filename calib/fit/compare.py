@@ -21,7 +21,7 @@ from calib.core.errors import EstimationError
 from calib.fit.chains import Progress
 from calib.fit.groups import units
 from calib.fit.importance import ImportanceSample
-from calib.fit.leave_one_out import LeftOut, leave_one_out, of_chain, of_sample
+from calib.fit.leave_one_out import LeftOutPredictions, leave_one_out, of_chain, of_sample
 from calib.fit.posterior import Posterior, posterior_of
 from calib.fit.priors import Priors
 from calib.fit.robust import RobustFit, fit_robust
@@ -186,7 +186,7 @@ def _compare(
     rows: Observations,
     fits: Mapping[str, RobustFit],
     priors: Priors,
-    loos: Mapping[str, LeftOut],
+    loos: Mapping[str, LeftOutPredictions],
     errors: _DepthErrors,
     for_weights: SeedSequence,
 ) -> Comparison:

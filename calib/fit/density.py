@@ -34,7 +34,7 @@ from calib.geometry.parameters import (
     Model,
     embed,
 )
-from calib.geometry.plane import Axes, Frame, frame
+from calib.geometry.plane import Axes, FixedParts, frame
 from calib.rows.observations import Observations
 
 CHUNK_ELEMENTS = 16_000
@@ -297,7 +297,7 @@ def _coefficients(
     return np.stack(columns, axis=1)
 
 
-def _triples(f: Frame, axes: Axes, offset: FloatArray, zero: FloatArray) -> list[FloatArray]:
+def _triples(f: FixedParts, axes: Axes, offset: FloatArray, zero: FloatArray) -> list[FloatArray]:
     """Return the twelve columns of sin(a) u + cos(a) v + w and of its distance from the axis.
 
     Parameters

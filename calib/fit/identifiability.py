@@ -11,7 +11,7 @@ import numpy as np
 from calib.core.arrays import FloatArray
 from calib.core.gate import Gate
 from calib.core.unit_diagonal import unit_diagonal
-from calib.fit.information import Known, beforehand, kept, row_slopes, slopes
+from calib.fit.information import Information, beforehand, kept, row_slopes, slopes
 from calib.fit.priors import Priors, measured_of, prior_of
 from calib.fit.robust import DECIDED, RobustFit
 from calib.geometry.misclosure import misclosure
@@ -165,9 +165,9 @@ def identifiability(rows: Observations, fit: RobustFit, priors: Priors) -> Ident
     measured = measured_of(model, priors).root()[0] * unit
     prior = prior_of(model, priors).root()[0] * unit
     levels = _Levels(
-        rows=Known.of(own),
-        sweep=Known.of(own, measured),
-        priors=Known.of(own, measured, prior),
+        rows=Information.of(own),
+        sweep=Information.of(own, measured),
+        priors=Information.of(own, measured, prior),
         has_sweep=bool(len(measured)),
     )
     covariance = levels.priors.covariance
@@ -197,9 +197,9 @@ def identifiability(rows: Observations, fit: RobustFit, priors: Priors) -> Ident
 class _Levels:
     """What is known: from the rows, with the sweep, with the priors."""
 
-    rows: Known
-    sweep: Known
-    priors: Known
+    rows: Information
+    sweep: Information
+    priors: Information
     has_sweep: bool
 
 
@@ -311,7 +311,7 @@ def _wider(names: tuple[str, ...], rows: Observations, fit: RobustFit) -> list[s
         if 90 - half > low and 90 + half < high:
             continue
         stretched = _stretched(rows, fit, half_rad=float(np.deg2rad(half)))
-        known = Known.of(slopes(stretched, fit) * unit)
+        known = Information.of(slopes(stretched, fit) * unit)
         if known.std(each).max() <= UNDETERMINED:
             return [
                 f"spread them over readings from {90 - half:.0f} to {90 + half:.0f} deg "

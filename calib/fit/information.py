@@ -73,14 +73,14 @@ def kept(rows: Observations, fit: RobustFit) -> BoolArray:
 
 
 @dataclass(frozen=True)
-class Known:
+class Information:
     """The singular values, shape (p,), descending, and directions, shape (p, p), of a root G."""
 
     value: FloatArray
     directions: FloatArray
 
     @classmethod
-    def of(cls, *roots: FloatArray) -> Known:
+    def of(cls, *roots: FloatArray) -> Information:
         """Return what roots, shape (m, p) each, say together.
 
         Of the root itself and not of its square, which would halve the digits of what is small.

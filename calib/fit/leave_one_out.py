@@ -76,7 +76,7 @@ def _log(weights: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True)
-class LeftOut:
+class LeftOutPredictions:
     """What a model expects of each row from all others.
 
     Parameters
@@ -106,7 +106,7 @@ def leave_one_out(
     seed: SeedSequence,
     *,
     progress: Callable[[int], None] | None = None,
-) -> Mapping[str, LeftOut]:
+) -> Mapping[str, LeftOutPredictions]:
     """Return the leave-one-out densities of each model, in order of rising size.
 
     Parameters
@@ -125,7 +125,7 @@ def leave_one_out(
 
 def _loo(
     rows: Observations, fit: RobustFit, sample: WeightedDraws, priors: Priors, seed: SeedSequence
-) -> LeftOut:
+) -> LeftOutPredictions:
     """Return leave-one-out densities: Pareto-smoothed, exact where the smoothing fails."""
     target = posterior_of(fit, rows, priors)
     used = np.isfinite(sample.log_weights)
@@ -150,7 +150,7 @@ def _loo(
         refitted += out.tolist()
         if not reliable:
             unreliable += out.tolist()
-    return LeftOut(pointwise, pareto_k, tuple(refitted), tuple(unreliable))
+    return LeftOutPredictions(pointwise, pareto_k, tuple(refitted), tuple(unreliable))
 
 
 def _smoothed_terms(

@@ -27,7 +27,7 @@ for a rig without noise.
 
 
 @dataclass(frozen=True)
-class Measured:
+class MeasuredParameters:
     """Measured knowledge of some parameters, e.g. by the yaw sweep: a normal block.
 
     Parameters
@@ -60,7 +60,7 @@ class Priors:
     """
 
     stated: Mapping[str, tuple[float, float]]
-    measured: Measured | None = None
+    measured: MeasuredParameters | None = None
 
     @property
     def offset_open(self) -> bool:

@@ -123,7 +123,7 @@ class Response:
 
 
 @dataclass(frozen=True)
-class Solution:
+class FitSolution:
     """What the rounds of a fit arrive at.
 
     Parameters
@@ -155,7 +155,7 @@ class Solution:
 
 
 @dataclass(frozen=True)
-class Problem:
+class FitProblem:
     """Rows, model, knowledge and tails of one fit.
 
     Parameters
@@ -173,7 +173,7 @@ class Problem:
     noise_prior: tuple[float, float]
     tails: Tails
 
-    def solve(self, theta: FloatArray, scale: float, *, accuracy: float = FINAL) -> Solution:
+    def solve(self, theta: FloatArray, scale: float, *, accuracy: float = FINAL) -> FitSolution:
         """Return the estimate, from a start, with the weights and the scale that agree with it.
 
         Raises
@@ -195,9 +195,9 @@ class Problem:
             if np.allclose(np.append(free, scale), before, rtol=accuracy, atol=1e-12):
                 break
         data = sums.information + self.measured.precision
-        return Solution(theta, scale, decided, groups, data, evaluations)
+        return FitSolution(theta, scale, decided, groups, data, evaluations)
 
-    def settle_near(self, theta: FloatArray, scale: float) -> Solution | None:
+    def settle_near(self, theta: FloatArray, scale: float) -> FitSolution | None:
         """Return what `settle` does, by Newton steps from a start so near that all are small.
 
         None where one is not, or they do not converge. Each round looks once at the rows, for
@@ -213,7 +213,7 @@ class Problem:
             scale = self._clean_scale(sums.standardised, decided + groups.followed)
             if length <= LAST_STEP and abs(scale - before) <= FINAL * before:
                 data = sums.information + self.measured.precision
-                return Solution(theta, scale, decided, groups, data, passes)
+                return FitSolution(theta, scale, decided, groups, data, passes)
         return None
 
     def noise_scale(self, standardised: FloatArray, parameters: float) -> float:

@@ -19,7 +19,7 @@ from calib.core.errors import EstimationError
 from calib.fit.groups import wider_part
 from calib.fit.noise import CLEAN, ROBUST, Tails, is_outlier, reject_outliers
 from calib.fit.priors import Priors, measured_of, prior_of
-from calib.fit.reweighting import Problem, Solution, inverse
+from calib.fit.reweighting import FitProblem, FitSolution, inverse
 from calib.fit.row_sums import residuals
 from calib.fit.start import find_start, some_rows
 from calib.geometry.parameters import (
@@ -182,7 +182,7 @@ def fit_robust(
     EstimationError
         If the rows do not determine the model or the optimiser does not converge.
     """
-    problem = Problem(
+    problem = FitProblem(
         rows=rows,
         model=model,
         prior=prior_of(model, priors),
@@ -211,7 +211,7 @@ def fit_robust(
 
 
 def _describe(
-    problem: Problem, fit: Solution, rows: Observations, rejected: BoolArray
+    problem: FitProblem, fit: FitSolution, rows: Observations, rejected: BoolArray
 ) -> RobustFit:
     """Return the fit with its uncertainties and what decided each parameter.
 
@@ -272,7 +272,7 @@ At 0.75 the priors, of this parameter and of those tied to it, take a quarter of
 deviation that the data alone would give; at 0.25 three quarters."""
 
 
-def _by_shared(problem: Problem, fit: Solution, own: FloatArray) -> FloatArray:
+def _by_shared(problem: FitProblem, fit: FitSolution, own: FloatArray) -> FloatArray:
     """Return the change of the estimate per unit of each shared error, shape (p, k).
 
     Parameters

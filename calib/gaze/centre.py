@@ -107,7 +107,7 @@ class Rest:
 
 
 @dataclass(frozen=True)
-class State:
+class GazeState:
     """How far a gaze is.
 
     Parameters
@@ -130,7 +130,7 @@ class State:
     to_try: tuple[float, ...] = ()
 
 
-def begin(law: Law, aim: Aim, standing: Standstill) -> tuple[State, Move]:
+def begin(law: Law, aim: Aim, standing: Standstill) -> tuple[GazeState, Move]:
     """Return the first move.
 
     Raises
@@ -146,13 +146,13 @@ def begin(law: Law, aim: Aim, standing: Standstill) -> tuple[State, Move]:
             "move the target"
         )
     first = min(max(aim.first_rad, low), high)
-    state = State(law, aim, standing.reading_rad, to_try=_search(law, first, low, high))
+    state = GazeState(law, aim, standing.reading_rad, to_try=_search(law, first, low, high))
     return _moved(state, first)
 
 
 def decide(
-    state: State, reading_rad: float, residual_rad: float | None
-) -> tuple[State, Move | Rest]:
+    state: GazeState, reading_rad: float, residual_rad: float | None
+) -> tuple[GazeState, Move | Rest]:
     """Return what to do after a picture of C2 at rest.
 
     Parameters
@@ -181,7 +181,7 @@ def decide(
     return _moved(state, reading_rad + law.step_rad * round(residual_rad / law.step_rad))
 
 
-def _look_elsewhere(state: State) -> tuple[State, Move]:
+def _look_elsewhere(state: GazeState) -> tuple[GazeState, Move]:
     state = replace(state, looks=state.looks + 1)
     if state.looks >= state.law.looks_max or not state.to_try or state.moves >= state.law.moves_max:
         raise Refused(
@@ -192,7 +192,7 @@ def _look_elsewhere(state: State) -> tuple[State, Move]:
     return _moved(replace(state, to_try=state.to_try[1:]), state.to_try[0])
 
 
-def _moved(state: State, reading_rad: float) -> tuple[State, Move]:
+def _moved(state: GazeState, reading_rad: float) -> tuple[GazeState, Move]:
     """Return the move to the place nearest to a reading, from below where the law says so."""
     law = state.law
     goal = law.place(reading_rad)

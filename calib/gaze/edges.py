@@ -45,7 +45,7 @@ ITERATIONS: Final = 30
 
 
 @dataclass(frozen=True)
-class Line:
+class EdgeLine:
     """A fitted edge, in px of the picture without distortion.
 
     Parameters
@@ -106,7 +106,9 @@ def real(lens: Camera | None, pixels: FloatArray) -> FloatArray:
     return project(lens, np.column_stack([rays, np.ones(len(rays))]))
 
 
-def fit_line(grey: Grey, lens: Camera | None, start: FloatArray, end: FloatArray) -> Line | None:
+def fit_line(
+    grey: Grey, lens: Camera | None, start: FloatArray, end: FloatArray
+) -> EdgeLine | None:
     """Return the edge along a segment; None if there is none to be seen.
 
     Parameters
@@ -160,7 +162,7 @@ def _edge_points(
     return points, float(second.mean())
 
 
-def _fit(points: FloatArray, doubtful: float) -> Line:
+def _fit(points: FloatArray, doubtful: float) -> EdgeLine:
     """Return the line through points by total least squares with Tukey's biweight."""
     weight = np.ones(len(points))
     centre, along, scale = points.mean(axis=0), np.zeros(2), 0.0
@@ -180,7 +182,7 @@ def _fit(points: FloatArray, doubtful: float) -> Line:
     kept = weight > 0
     count = float(weight.sum())
     variance = float(weight @ offset**2) / count * _correlation(offset[kept])
-    return Line(
+    return EdgeLine(
         point=centre,
         along=along,
         variance=variance / count,
@@ -211,7 +213,7 @@ def _correlation(offset: FloatArray) -> float:
     return factor
 
 
-def crossing(one: Line, other: Line) -> tuple[FloatArray, FloatArray]:
+def crossing(one: EdgeLine, other: EdgeLine) -> tuple[FloatArray, FloatArray]:
     """Return where two lines cross, shape (2,), and its covariance, px^2, shape (2, 2)."""
     normals = np.stack([one.normal, other.normal])
     offsets = np.array([one.normal @ one.point, other.normal @ other.point])

@@ -19,7 +19,7 @@ from calib.gaze import follow
 from calib.gaze.aim import Aiming
 from calib.gaze.follow import Track
 from calib.gaze.gazing import Gazer
-from calib.gaze.row import GazeRow, Seen, make_row
+from calib.gaze.row import GazeRow, SeenTarget, make_row
 from calib.rig.clock import NS_PER_S
 from calib.rig.protocols import Nanoseconds, Refused, Sureness
 
@@ -98,7 +98,7 @@ class Follower:
             row, pixel_c1=pixel, u_c1_px=float(np.hypot(row.u_c1_px * math.sqrt(2), extra))
         )
 
-    def _seen_in_c1(self, moment: Nanoseconds) -> Seen:
+    def _seen_in_c1(self, moment: Nanoseconds) -> SeenTarget:
         """Return a picture of C1 with the target measured in it, and go on with its track."""
         rig = self.gazer.rig
         seen = self.gazer.look(rig.c1, moment)
@@ -106,13 +106,13 @@ class Follower:
             self._track = None
             raise Refused(self.gazer.unseen("C1"))
         if self._track is None:
-            self._track = follow.start(seen.frame, seen.sighting.pixel)
+            self._track = follow.start(seen.frame, seen.observation.pixel)
             return seen
         led = follow.flowed(self._track, seen.frame)
-        self._track = follow.seen(self._track, seen.frame, seen.sighting.pixel)
+        self._track = follow.seen(self._track, seen.frame, seen.observation.pixel)
         if led is not None:
-            stray = float(np.hypot(*(led.pixels[-1] - seen.sighting.pixel)))
-            if stray > max(STRAY_PX, STRAY_SHARE * seen.sighting.size_px):
+            stray = float(np.hypot(*(led.pixels[-1] - seen.observation.pixel)))
+            if stray > max(STRAY_PX, STRAY_SHARE * seen.observation.size_px):
                 self._track = None
                 raise Refused(
                     f"what C1 finds is {stray:.1f} px from where the target went: another one"
@@ -125,7 +125,7 @@ class Follower:
         return self._track.at(moment)
 
 
-def _between(before: Seen, after: Seen, c2: Seen) -> tuple[FloatArray, float]:
+def _between(before: SeenTarget, after: SeenTarget, c2: SeenTarget) -> tuple[FloatArray, float]:
     """Return where C1 saw the target at the moment of C2's picture, and what is uncertain of it.
 
     Between two pictures a target goes straight, but for what it can change of its way meanwhile:
@@ -134,8 +134,8 @@ def _between(before: Seen, after: Seen, c2: Seen) -> tuple[FloatArray, float]:
     times = [s.frame.exposed_ns / NS_PER_S for s in (before, c2, after)]
     span = max(times[2] - times[0], 1e-6)
     share = (times[1] - times[0]) / span
-    way = after.sighting.pixel - before.sighting.pixel
-    pixel: FloatArray = before.sighting.pixel + share * way
+    way = after.observation.pixel - before.observation.pixel
+    pixel: FloatArray = before.observation.pixel + share * way
     speed = float(np.abs(way).max() / span)
     u_moment = max(U_MOMENT_S[s.frame.sure] for s in (before, after, c2))
     return pixel, float(np.hypot(speed * u_moment, (speed + UNSTEADY_PX_S2) * span**2 / 8))

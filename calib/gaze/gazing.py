@@ -12,15 +12,22 @@ from calib.core.arrays import FloatArray
 from calib.gaze.aim import Aiming
 from calib.gaze.centre import (
     CLEARANCE_STEPS,
+    GazeState,
     Law,
     Move,
     Rest,
-    State,
     begin,
     clearance,
     decide,
 )
-from calib.gaze.row import GazeRow, Noise, Seen, make_row, refuse_moved, refuse_unsteady
+from calib.gaze.row import (
+    GazeRow,
+    SeenTarget,
+    TargetScatter,
+    make_row,
+    refuse_moved,
+    refuse_unsteady,
+)
 from calib.gaze.target import Target
 from calib.geometry.camera import Camera, normalise
 from calib.rig.clock import NS_PER_S
@@ -104,10 +111,10 @@ class Gazer:
     law: Law
     lens_c1: Camera | None = None
     settle_s: float = 0.0
-    noise_c1: Noise = field(default_factory=Noise)
-    noise_c2: Noise = field(default_factory=Noise)
+    noise_c1: TargetScatter = field(default_factory=TargetScatter)
+    noise_c2: TargetScatter = field(default_factory=TargetScatter)
 
-    def find_in_c1(self) -> Seen:
+    def find_in_c1(self) -> SeenTarget:
         """Return where C1 sees the target now.
 
         Raises
@@ -156,14 +163,14 @@ class Gazer:
         via = max(self.law.range_rad[0], reading_rad - far_below)
         return self._go(Move(reading_rad, via))
 
-    def _before(self) -> tuple[Seen, ...]:
+    def _before(self) -> tuple[SeenTarget, ...]:
         return self.pictures(self.rig.c1, self.rig.clock.now_ns(), PICTURES_C1)
 
     def _row(
         self,
-        before: tuple[Seen, ...],
+        before: tuple[SeenTarget, ...],
         standing: Standstill,
-        first: Seen,
+        first: SeenTarget,
         *,
         moves: int,
         looks: int,
@@ -192,13 +199,15 @@ class Gazer:
     def _standing(self) -> Standstill:
         return self.rig.axis.standstill()
 
-    def _centre(self, *, aim_at: tuple[State, Move]) -> tuple[State, Standstill, Seen]:
+    def _centre(
+        self, *, aim_at: tuple[GazeState, Move]
+    ) -> tuple[GazeState, Standstill, SeenTarget]:
         """Carry out the law; return how it ended, where C2 stands, and the picture that said so."""
         state, move = aim_at
         while True:
             standing = self._go(move)
             seen = self.look(self.rig.c2, self.at_rest(standing))
-            residual = None if seen is None else self.residual(seen.sighting.pixel)
+            residual = None if seen is None else self.residual(seen.observation.pixel)
             state, then = decide(state, standing.reading_rad, residual)
             if isinstance(then, Rest) and seen is not None:
                 return state, standing, seen
@@ -236,9 +245,11 @@ class Gazer:
                 f"{now.counts} after; is another program driving it, does the cable pull?"
             )
 
-    def pictures(self, camera: CameraDevice, moment: Nanoseconds, count: int) -> tuple[Seen, ...]:
+    def pictures(
+        self, camera: CameraDevice, moment: Nanoseconds, count: int
+    ) -> tuple[SeenTarget, ...]:
         """Return so many different pictures of the target, the first exposed after `moment`."""
-        found: list[Seen] = []
+        found: list[SeenTarget] = []
         while len(found) < count:
             last = found[-1] if found else None
             frame = self._frame(camera, _next(last) if last else moment, last)
@@ -250,12 +261,12 @@ class Gazer:
         return tuple(found)
 
     def look(
-        self, camera: CameraDevice, moment: Nanoseconds, last: Seen | None = None
-    ) -> Seen | None:
+        self, camera: CameraDevice, moment: Nanoseconds, last: SeenTarget | None = None
+    ) -> SeenTarget | None:
         """Return a picture with the target, another one than `last`; None if it is not in it."""
         return self._seen(camera, self._frame(camera, moment, last))
 
-    def _frame(self, camera: CameraDevice, moment: Nanoseconds, last: Seen | None) -> Frame:
+    def _frame(self, camera: CameraDevice, moment: Nanoseconds, last: SeenTarget | None) -> Frame:
         for _ in range(SAME_FRAME_TRIES):
             frame = camera.after(moment, timeout_s=TIMEOUT_S)
             if last is None or frame.serial != last.frame.serial:
@@ -263,10 +274,10 @@ class Gazer:
             moment = frame.exposed_ns + NEXT_NS
         raise Lost(f"{camera.identity} hands out one and the same frame again and again")
 
-    def _seen(self, camera: CameraDevice, frame: Frame) -> Seen | None:
+    def _seen(self, camera: CameraDevice, frame: Frame) -> SeenTarget | None:
         age = (self.rig.clock.now_ns() - frame.exposed_ns) / 1e6
-        sighting = self._target(camera).find(frame.pixels)
-        return None if sighting is None else Seen(frame, sighting, age)
+        observation = self._target(camera).find(frame.pixels)
+        return None if observation is None else SeenTarget(frame, observation, age)
 
     def _target(self, camera: CameraDevice) -> Target:
         lens = self.lens_c1 if camera is self.rig.c1 else self.lens_c2
@@ -282,10 +293,10 @@ class Gazer:
         )
 
 
-def _next(seen: Seen) -> Nanoseconds:
+def _next(seen: SeenTarget) -> Nanoseconds:
     return seen.frame.exposed_ns + NEXT_NS
 
 
-def _mean(seen: tuple[Seen, ...]) -> FloatArray:
-    mean: FloatArray = np.mean([s.sighting.pixel for s in seen], axis=0)
+def _mean(seen: tuple[SeenTarget, ...]) -> FloatArray:
+    mean: FloatArray = np.mean([s.observation.pixel for s in seen], axis=0)
     return mean

@@ -55,9 +55,9 @@ def _seen(grey: Grey, board: Board | None, lens: Camera | None) -> Iterator[tupl
         yield from _on_board(grey, board)
     whole: list[Target] = [Cross(), Blob(), *(PlateCorner(which) for which in CORNERS)]
     for target in whole:
-        sighting = (target if lens is None else target.through(lens)).find(grey)
-        if sighting is not None:
-            yield target.name, sighting.pixel
+        observation = (target if lens is None else target.through(lens)).find(grey)
+        if observation is not None:
+            yield target.name, observation.pixel
 
 
 def _on_board(grey: Grey, board: Board) -> Iterator[tuple[str, FloatArray]]:

@@ -16,8 +16,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from calib.core.arrays import BoolArray, FloatArray
-from calib.gaze.edges import Line, crossing, fit_line, ideal, real
-from calib.gaze.target import FLOOR_PX, Sighting
+from calib.gaze.edges import EdgeLine, crossing, fit_line, ideal, real
+from calib.gaze.target import FLOOR_PX, TargetObservation
 from calib.geometry.camera import Camera
 from calib.images.detection.picture import Grey
 
@@ -115,17 +115,17 @@ class PlateCorner:
         """Return the target as a camera sees it."""
         return replace(self, lens=lens)
 
-    def find(self, grey: Grey) -> Sighting | None:
+    def find(self, grey: Grey) -> TargetObservation | None:
         """Return where the corner is; None if it is not to be measured."""
         found = self._measure(grey)
-        return found if isinstance(found, Sighting) else None
+        return found if isinstance(found, TargetObservation) else None
 
     def fault(self, grey: Grey) -> str:
         """Return why the corner is not to be measured in a picture; "" if it is."""
         found = self._measure(grey)
         return found if isinstance(found, str) else ""
 
-    def _measure(self, grey: Grey) -> Sighting | str:
+    def _measure(self, grey: Grey) -> TargetObservation | str:
         smooth = cv2.GaussianBlur(grey, (0, 0), SMOOTH_PX)
         mine = [c for c in _candidates(smooth, self.lens, LEAST_EDGE_PX) if c.name == self.which]
         good = [c for c in mine if c.angle_deg >= LEAST_ANGLE_DEG]
@@ -144,14 +144,14 @@ class PlateCorner:
                 f"along {100 * doubtful:.0f} % of an edge of {self.name} there is a second edge: a "
                 "bevel, a shadow or another plate; change the light or the background"
             )
-        return self._sighting(one, other, np.concatenate([good[0].first, good[0].second]))
+        return self._observation(one, other, np.concatenate([good[0].first, good[0].second]))
 
-    def _sighting(self, one: Line, other: Line, ends: FloatArray) -> Sighting:
+    def _observation(self, one: EdgeLine, other: EdgeLine, ends: FloatArray) -> TargetObservation:
         place, covariance = crossing(one, other)
         floor = float(np.sqrt(np.linalg.eigvalsh(covariance)[-1]))
         pixel = real(self.lens, place[None])[0]
         # Noise from picture to picture is counted apart; what all pictures share is the floor.
-        return Sighting(
+        return TargetObservation(
             pixel,
             max(FLOOR_PX, floor),
             min(one.length_px, other.length_px),
@@ -174,7 +174,7 @@ def _why(near: list[Candidate], name: str) -> str:
     )
 
 
-def _line(smooth: Grey, lens: Camera | None, edge: FloatArray) -> Line | None:
+def _line(smooth: Grey, lens: Camera | None, edge: FloatArray) -> EdgeLine | None:
     cut = TRIMMED_SHARE * (edge[1] - edge[0])
     return fit_line(smooth, lens, edge[0] + cut, edge[1] - cut)
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.core.arrays import FloatArray
-from calib.gaze.target import Sighting
+from calib.gaze.target import TargetObservation
 from calib.rig.protocols import Frame, Refused, Standstill
 
 FIRST_NOISE_PX, FIRST_FREEDOM = 0.05, 2.0
@@ -23,21 +23,21 @@ MOVED_SIGMAS = 3.0
 """A target seen elsewhere by more than so many standard deviations has moved."""
 
 STILL_PX = 0.02
-"""Least standard deviation of a difference of two sightings at rest, px: some three times that may
-be air and floor, and is nothing that a row could not bear."""
+"""Least standard deviation of a difference of two observations at rest, px: some three times that
+may be air and floor, and is nothing that a row could not bear."""
 
 
 @dataclass(frozen=True)
-class Seen:
+class SeenTarget:
     """A picture and the target in it; `age_ms` old when it came to hand."""
 
     frame: Frame
-    sighting: Sighting
+    observation: TargetObservation
     age_ms: float = 0.0
 
 
 @dataclass(frozen=True)
-class Noise:
+class TargetScatter:
     """How a target's coordinates scatter from picture to picture at rest, over all gazes so far.
 
     Parameters
@@ -56,11 +56,13 @@ class Noise:
         """Standard deviation of a coordinate of one picture, px."""
         return float(np.sqrt(self.sum_squares / self.freedom))
 
-    def after(self, seen: Sequence[Seen]) -> Noise:
+    def after(self, seen: Sequence[SeenTarget]) -> TargetScatter:
         """Return it with the repeats of one more gaze."""
         pixels = _pixels(seen)
         away = pixels - pixels.mean(axis=0)
-        return Noise(self.sum_squares + float((away**2).sum()), self.freedom + away[1:].size)
+        return TargetScatter(
+            self.sum_squares + float((away**2).sum()), self.freedom + away[1:].size
+        )
 
 
 @dataclass(frozen=True)
@@ -86,8 +88,8 @@ class GazeRow:
     pixel_c2: FloatArray
     u_c1_px: float
     u_c2_px: float
-    c1: tuple[Seen, ...]
-    c2: tuple[Seen, ...]
+    c1: tuple[SeenTarget, ...]
+    c2: tuple[SeenTarget, ...]
     moves: int
     looks: int
 
@@ -95,10 +97,10 @@ class GazeRow:
 def make_row(
     standstill: Standstill,
     *,
-    c1: Sequence[Seen],
-    c2: Sequence[Seen],
-    noise_c1: Noise,
-    noise_c2: Noise,
+    c1: Sequence[SeenTarget],
+    c2: Sequence[SeenTarget],
+    noise_c1: TargetScatter,
+    noise_c2: TargetScatter,
     moves: int,
     looks: int,
 ) -> GazeRow:
@@ -127,7 +129,9 @@ def make_row(
     )
 
 
-def refuse_moved(name: str, before: Sequence[Seen], after: Sequence[Seen], noise: Noise) -> None:
+def refuse_moved(
+    name: str, before: Sequence[SeenTarget], after: Sequence[SeenTarget], noise: TargetScatter
+) -> None:
     """Refuse a target that a camera sees elsewhere than before.
 
     Raises
@@ -145,7 +149,7 @@ def refuse_moved(name: str, before: Sequence[Seen], after: Sequence[Seen], noise
         )
 
 
-def refuse_unsteady(name: str, seen: Sequence[Seen], noise: Noise) -> None:
+def refuse_unsteady(name: str, seen: Sequence[SeenTarget], noise: TargetScatter) -> None:
     """Refuse pictures that do not show the target at one place.
 
     Raises
@@ -167,11 +171,11 @@ UNSTEADY_SIGMAS = 5.0
 """One picture of many is off by 3 sigma every day; by 5 it shows something else."""
 
 
-def _pixels(seen: Sequence[Seen]) -> FloatArray:
-    return np.array([s.sighting.pixel for s in seen])
+def _pixels(seen: Sequence[SeenTarget]) -> FloatArray:
+    return np.array([s.observation.pixel for s in seen])
 
 
-def _uncertainty(seen: Sequence[Seen], noise: Noise) -> float:
+def _uncertainty(seen: Sequence[SeenTarget], noise: TargetScatter) -> float:
     """Return the standard uncertainty of a mean coordinate: what averages out and what does not."""
-    floor = max(s.sighting.floor_px for s in seen)
+    floor = max(s.observation.floor_px for s in seen)
     return float(np.hypot(floor, noise.std_px / np.sqrt(len(seen))))

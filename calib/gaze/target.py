@@ -46,7 +46,7 @@ TAG_WINDOW_SHARE, TAG_WINDOW_PX = 0.15, (3, 12)
 
 
 @dataclass(frozen=True)
-class Sighting:
+class TargetObservation:
     """A target in a picture.
 
     Parameters
@@ -77,7 +77,7 @@ class Target(Protocol):
     def name(self) -> str:
         """As the user named it."""
 
-    def find(self, grey: Grey) -> Sighting | None:
+    def find(self, grey: Grey) -> TargetObservation | None:
         """Return where it is, shape (height, width) of the picture; None if it is not seen."""
 
     def through(self, lens: Camera) -> Target:
@@ -133,14 +133,14 @@ class BoardCorner(_AnyLens):
     board: Board
     name: str = "board"
 
-    def find(self, grey: Grey) -> Sighting | None:
+    def find(self, grey: Grey) -> TargetObservation | None:
         """Return where the corner is; None if the board or this corner is not seen."""
         pixels = board_corners(grey, self.board)
         pixel = pixels[self.board.target_index]
         if not np.isfinite(pixel).all():
             return None
         size = _spacing(pixels, self.board)
-        return Sighting(pixel, _corner_floor(size), size, pixels)
+        return TargetObservation(pixel, _corner_floor(size), size, pixels)
 
 
 def board_corners(grey: Grey, board: Board) -> FloatArray:
@@ -170,7 +170,7 @@ class Tag(_AnyLens):
         """As the user named it."""
         return f"tag:{self.dictionary}:{self.number}"
 
-    def find(self, grey: Grey) -> Sighting | None:
+    def find(self, grey: Grey) -> TargetObservation | None:
         """Return where the tag is; None if it is not seen, or seen twice."""
         number = getattr(cv2.aruco, self.dictionary)
         finder = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(number))
@@ -185,7 +185,7 @@ class Tag(_AnyLens):
         refined = corners.reshape(-1, 1, 2).copy()
         cv2.cornerSubPix(grey, refined, (window, window), (-1, -1), _CRITERIA)
         quad = refined.reshape(4, 2).astype(np.float64)
-        return Sighting(_crossing(quad), _tag_floor(side), side, quad)
+        return TargetObservation(_crossing(quad), _tag_floor(side), side, quad)
 
 
 _CRITERIA = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 50, 1e-3)
@@ -209,7 +209,7 @@ class Blob(_AnyLens):
 
     name: str = "blob"
 
-    def find(self, grey: Grey) -> Sighting | None:
+    def find(self, grey: Grey) -> TargetObservation | None:
         """Return where the disc is; None if there is none, or more than one."""
         low, usual = float(np.min(grey)), float(np.median(grey))
         level = low + DARK_SHARE * (usual - low)
@@ -227,7 +227,7 @@ class Blob(_AnyLens):
         total = darkness.sum()
         centre = np.array([(u * darkness).sum(), (v * darkness).sum()]) / total
         diameter = float(2 * np.sqrt(area / np.pi))
-        return Sighting(centre, _blob_floor(diameter), diameter)
+        return TargetObservation(centre, _blob_floor(diameter), diameter)
 
 
 def _is_disc(labels: FloatArray, stats: FloatArray, number: int, size: int) -> bool:
@@ -246,7 +246,7 @@ class Cross(_AnyLens):
 
     name: str = "cross"
 
-    def find(self, grey: Grey) -> Sighting | None:
+    def find(self, grey: Grey) -> TargetObservation | None:
         """Return where the cross is; None if there is none, or another as clear."""
         smooth = cv2.GaussianBlur(grey, (0, 0), 1.5).astype(np.float32)
         # A saddle of grey values: the determinant of the second derivatives is most negative.
@@ -266,7 +266,7 @@ class Cross(_AnyLens):
         pixel = point.reshape(2).astype(np.float64)
         if np.hypot(*(pixel - at)) > CROSS_WINDOW_PX / 2 or not _has_four_arms(grey, pixel):
             return None
-        return Sighting(pixel, FLOOR_PX, float(2 * CROSS_WINDOW_PX))
+        return TargetObservation(pixel, FLOOR_PX, float(2 * CROSS_WINDOW_PX))
 
 
 _SECOND = ((2, 0), (0, 2), (1, 1))

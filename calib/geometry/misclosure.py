@@ -29,7 +29,7 @@ from calib.geometry.parameters import (
 from calib.geometry.plane import (
     OBSERVABLE,
     Axes,
-    Frame,
+    FixedParts,
     Gaze,
     Turn,
     depth,
@@ -78,7 +78,7 @@ class _Arm:
     stretch: FloatArray | float
 
     @classmethod
-    def of(cls, f: Frame, gaze: Gaze, z: FloatArray) -> _Arm:
+    def of(cls, f: FixedParts, gaze: Gaze, z: FloatArray) -> _Arm:
         return cls(f.point, gaze, z, 1 + f.origin / z if f.origin else 1.0)
 
 

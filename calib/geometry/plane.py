@@ -128,7 +128,7 @@ def _rotation(axis: int, angle: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True)
-class Frame:
+class FixedParts:
     """The parts of the turning plane that do not turn, for parameters of shape (..., COUNT).
 
     Parameters
@@ -175,7 +175,7 @@ Axes: TypeAlias = tuple[FloatArray, FloatArray, FloatArray]
 """Three vectors, each (..., 3)."""
 
 
-def frame(theta: FloatArray) -> Frame:
+def frame(theta: FloatArray) -> FixedParts:
     """Return the fixed parts of the plane for parameters `theta`, shape (..., COUNT)."""
     shape = theta.shape[:-1]
     rotation = np.broadcast_to(np.eye(3), (*shape, 3, 3))
@@ -202,12 +202,12 @@ def frame(theta: FloatArray) -> Frame:
                 generators[i] = _GENERATORS[axis]
             case GazeRoll():
                 roll = roll + theta[..., i]
-    return Frame(rotation, generators, roll, point, offset, standoff, origin)
+    return FixedParts(rotation, generators, roll, point, offset, standoff, origin)
 
 
 @dataclass(frozen=True)
 class Turn:
-    """Normals of the planes of gazes, as parts along `Frame.axes`, and their distances.
+    """Normals of the planes of gazes, as parts along `FixedParts.axes`, and their distances.
 
     Parameters
     ----------
@@ -301,7 +301,7 @@ class DrawnPlanes:
     """
 
     theta: FloatArray
-    frame: Frame
+    frame: FixedParts
     reach: tuple[FloatArray, FloatArray, FloatArray]
 
     def depth(self, gaze: Gaze) -> FloatArray:

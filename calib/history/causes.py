@@ -17,7 +17,7 @@ STEPS = 8
 
 
 @dataclass(frozen=True)
-class Cause:
+class DriftCause:
     """Something that moves what is measured.
 
     Parameters
@@ -43,10 +43,12 @@ class Cause:
 
 
 CAUSES = (
-    Cause("the encoder's zero has slipped", 1e-5, "delta2_rad", False, float(np.rad2deg(1)), "deg"),
-    Cause("C1 and C2 have moved apart", 1e-5, "baseline_mm", True, 100.0, "% of the baseline"),
-    Cause("C2 has moved to or fro", 1e-2, "axis_z_mm", False, 1.0, "mm"),
-    Cause("C1's focal length has changed", 1e-5, None, True, 100.0, "%"),
+    DriftCause(
+        "the encoder's zero has slipped", 1e-5, "delta2_rad", False, float(np.rad2deg(1)), "deg"
+    ),
+    DriftCause("C1 and C2 have moved apart", 1e-5, "baseline_mm", True, 100.0, "% of the baseline"),
+    DriftCause("C2 has moved to or fro", 1e-2, "axis_z_mm", False, 1.0, "mm"),
+    DriftCause("C1's focal length has changed", 1e-5, None, True, 100.0, "%"),
 )
 
 
@@ -89,7 +91,7 @@ def likely_causes(checked: Checked, *, accepted: int, since: int) -> tuple[Likel
 
 
 def _fitted(
-    cause: Cause, checked: Checked, targets: FloatArray, change: FloatArray, weight: FloatArray
+    cause: DriftCause, checked: Checked, targets: FloatArray, change: FloatArray, weight: FloatArray
 ) -> Likely:
     """Return how much of a cause explains a change best."""
     size, information = 0.0, 1.0
@@ -113,7 +115,7 @@ def _fitted(
     )
 
 
-def effect(cause: Cause, size: float, checked: Checked, targets: FloatArray) -> FloatArray:
+def effect(cause: DriftCause, size: float, checked: Checked, targets: FloatArray) -> FloatArray:
     """Return the change of what is measured by so much of a cause, mm, shape (q,).
 
     The rig has changed, so that it reads other values at the same targets; the calibration by

@@ -11,7 +11,7 @@ class _Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
-class Length(_Section):
+class CertifiedLength(_Section):
     """A certified distance of two targets, and its standard uncertainty, mm."""
 
     between: tuple[str, str]
@@ -24,7 +24,7 @@ class Length(_Section):
         return f"length {self.between[0]} to {self.between[1]}"
 
 
-class Depth(_Section):
+class CertifiedDepth(_Section):
     """A known depth of a target in frame C1, and its standard uncertainty, mm."""
 
     target: str
@@ -42,8 +42,8 @@ class Standard(_Section):
 
     format: int = Field(ge=1, le=1)
     serial: str = Field(min_length=1)
-    length: tuple[Length, ...] = ()
-    depth: tuple[Depth, ...] = ()
+    length: tuple[CertifiedLength, ...] = ()
+    depth: tuple[CertifiedDepth, ...] = ()
     gazed: Mapping[str, str] = Field(default={}, alias="targets")
 
     def gazed_as(self, name: str) -> str:
@@ -51,7 +51,7 @@ class Standard(_Section):
         return self.gazed.get(name, name)
 
     @property
-    def quantities(self) -> tuple[Length | Depth, ...]:
+    def quantities(self) -> tuple[CertifiedLength | CertifiedDepth, ...]:
         """All that is certified."""
         return (*self.length, *self.depth)
 

@@ -32,7 +32,7 @@ EFFECTIVE = "effective_baseline_mm"
 
 
 @dataclass(frozen=True)
-class Run:
+class ComparedRun:
     """One run as far as it is compared.
 
     Parameters
@@ -177,12 +177,12 @@ class Drift:
         return together or any(change.significant for change in self.changes)
 
 
-def accepted(run: Run) -> Run:
+def accepted(run: ComparedRun) -> ComparedRun:
     """Return a run whose failed gates its user accepts."""
     return replace(run, measuring=replace(run.measuring, failed_gates=()))
 
 
-def drift(first: Run, other: Run) -> Drift:
+def drift(first: ComparedRun, other: ComparedRun) -> Drift:
     """Return the changes from one run to another."""
     earlier, later = first.estimates(), other.estimates()
     shared = [name for name in later if name in earlier]
@@ -205,7 +205,7 @@ def drift(first: Run, other: Run) -> Drift:
     )  # fmt: skip
 
 
-def _common(first: Run, other: Run) -> tuple[str, ...]:
+def _common(first: ComparedRun, other: ComparedRun) -> tuple[str, ...]:
     """Return what two runs have in common, so that they are not independent."""
     if first.dataset_sha256 and first.dataset_sha256 == other.dataset_sha256:
         return ("the same dataset: differences come from settings, seed or version, not the rig",)
@@ -229,12 +229,12 @@ def _unit(name: str) -> str:
     return "mm" if name == EFFECTIVE else PARAMETERS[INDEX[name]].unit
 
 
-def _note(name: str, first: Run, other: Run) -> str:
+def _note(name: str, first: ComparedRun, other: ComparedRun) -> str:
     decided = [run.identified_by.get(name) for run in (first, other)]
     return "identified by prior knowledge" if "prior" in decided else ""
 
 
-def _together(first: Run, other: Run) -> float | None:
+def _together(first: ComparedRun, other: ComparedRun) -> float | None:
     """Return the chi-squared p of all parameters' differences, for runs of one model."""
     a, b = first.of_the_rig, other.of_the_rig
     if first.model != other.model or a.names != b.names:
@@ -246,7 +246,7 @@ def _together(first: Run, other: Run) -> float | None:
     return float(chdtrc(len(unit), square))
 
 
-def _depth_changes(first: Run, other: Run) -> list[tuple[float, float, float]]:
+def _depth_changes(first: ComparedRun, other: ComparedRun) -> list[tuple[float, float, float]]:
     """Return depth, change of what a reading there says, and its uncertainty, mm.
 
     From the parameters alone: the reading is the same.
@@ -267,7 +267,7 @@ def _depth_changes(first: Run, other: Run) -> list[tuple[float, float, float]]:
     ]
 
 
-def _depth_variance(run: Run, gaze: Gaze) -> FloatArray:
+def _depth_variance(run: ComparedRun, gaze: Gaze) -> FloatArray:
     p = run.measuring.instrument.parameters
     slope = depth_jacobian(run.measuring.instrument.theta, gaze).by_theta
     chosen = slope[:, [INDEX[name] for name in p.names]]
@@ -275,6 +275,6 @@ def _depth_variance(run: Run, gaze: Gaze) -> FloatArray:
     return variance
 
 
-def drifts(runs: Sequence[Run]) -> tuple[Drift, ...]:
+def drifts(runs: Sequence[ComparedRun]) -> tuple[Drift, ...]:
     """Return the changes from the first run to each of the others."""
     return tuple(drift(runs[0], other) for other in runs[1:])

@@ -64,7 +64,7 @@ class GatesFailedError(ValueError):
 
 
 @dataclass(frozen=True)
-class Entry:
+class IndexEntry:
     """One calibration in the index.
 
     Parameters
@@ -139,7 +139,7 @@ class _Document(_Lenient):
     rig: _Rig | None = None
 
 
-def read_entry(folder: Path) -> Entry:
+def read_entry(folder: Path) -> IndexEntry:
     """Return the entry of one folder.
 
     Raises
@@ -175,7 +175,7 @@ def read_entry(folder: Path) -> Entry:
     serial, dated = _certified(files, document.dataset.sha256)
     stated = document.rig.serial if document.rig is not None else None
     named = one_spelling(stated) or one_spelling(serial)
-    return Entry(
+    return IndexEntry(
         path=str(folder),
         sha256=hashlib.sha256(content).hexdigest(),
         rig=named or one_spelling(document.dataset.name),

@@ -21,8 +21,8 @@ from typing import Any
 import numpy as np
 
 from calib.core.errors import InputError, UsageError
-from calib.history.entry import RESULT, Entry, one_spelling
-from calib.history.scan import Seen, refuse_missing, scan
+from calib.history.entry import RESULT, IndexEntry, one_spelling
+from calib.history.scan import FolderSeen, refuse_missing, scan
 
 WAIT_S = 60.0
 """For another writer; a transaction of 10,000 calibrations takes a tenth of it."""
@@ -178,12 +178,12 @@ def _is_current(connection: sqlite3.Connection) -> bool:
     return bool(layout == LAYOUT)
 
 
-def _known(connection: sqlite3.Connection) -> dict[str, Seen]:
+def _known(connection: sqlite3.Connection) -> dict[str, FolderSeen]:
     """Return the folders that are in the index as they were when their stamp was taken."""
     if not _is_current(connection):
         return {}
     rows = connection.execute("SELECT path, stamp FROM stamp JOIN calibration USING (path)")
-    return {path: Seen(stamp, None) for path, stamp in rows}
+    return {path: FolderSeen(stamp, None) for path, stamp in rows}
 
 
 def _gone(before: dict[str, str], roots: Sequence[Path], now: dict[str, str]) -> set[str]:
@@ -200,7 +200,7 @@ def _may_be_there(file: Path) -> bool:
         return True
 
 
-def _row(e: Entry) -> tuple[str | float, ...]:
+def _row(e: IndexEntry) -> tuple[str | float, ...]:
     parameters = json.dumps([e.names, e.values.tolist(), e.covariance.tolist()])
     head = (e.path, e.sha256, e.rig, e.date, e.dataset, e.model, *e.range_mm)
     return *head, parameters, e.dataset_sha256, e.finished, e.has_serial
@@ -234,7 +234,7 @@ def rigs(index: Path) -> list[tuple[str, int, str]]:
         ).fetchall()
 
 
-def history(index: Path, rig: str) -> list[Entry]:
+def history(index: Path, rig: str) -> list[IndexEntry]:
     """Return a rig's calibrations in time order; of runs of one dataset the one finished last.
 
     A dataset calibrated again, with another seed or version, tells nothing new of the rig.
@@ -254,16 +254,16 @@ def history(index: Path, rig: str) -> list[Entry]:
             where=str(index), what=f"has no rig {rig!r}",
             remedy="list the rigs with calib history show",
         )  # fmt: skip
-    last: dict[str, Entry] = {}
+    last: dict[str, IndexEntry] = {}
     for e in sorted(map(_entry, rows), key=lambda e: (e.finished, e.path)):
         last[e.dataset_sha256] = e
     return sorted(last.values(), key=lambda e: (e.date, e.finished, e.path))
 
 
-def _entry(row: tuple[Any, ...]) -> Entry:
+def _entry(row: tuple[Any, ...]) -> IndexEntry:
     path, sha256, rig, day, dataset, model, near, far, parameters, of, finished, named = row
     names, values, covariance = json.loads(parameters)
-    return Entry(
+    return IndexEntry(
         path=path,
         sha256=sha256,
         rig=rig,

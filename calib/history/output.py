@@ -6,14 +6,14 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
-from calib.history.drift import FAMILY_RISK, Drift, Run
-from calib.report.plain_page import Block, Paragraph, PlainTable, plain_page
+from calib.history.drift import FAMILY_RISK, ComparedRun, Drift
+from calib.report.plain_page import Block, PlainTable, Text, plain_page
 
 Table = tuple[str, list[list[str]]]
 """Title and rows of cells, the first its head; a row of one cell is a note on the table."""
 
 
-def tables(runs: Sequence[Run], drifts: Sequence[Drift]) -> list[Table]:
+def tables(runs: Sequence[ComparedRun], drifts: Sequence[Drift]) -> list[Table]:
     """Return titles with tables, the first row of each its head."""
     return [
         ("Runs", _runs(runs)),
@@ -29,7 +29,7 @@ def changes_tables(drifts: Sequence[Drift]) -> list[Table]:
     return [(_title(d), _changes(d)) for d in drifts]
 
 
-def _runs(runs: Sequence[Run]) -> list[list[str]]:
+def _runs(runs: Sequence[ComparedRun]) -> list[list[str]]:
     rows = [["", "run", "dataset", "model", "calibrated depths, mm", "gates"]]
     for i, run in enumerate(runs, 1):
         low, high = run.measuring.calibrated_mm
@@ -39,7 +39,7 @@ def _runs(runs: Sequence[Run]) -> list[list[str]]:
     return rows
 
 
-def _depth_u(runs: Sequence[Run]) -> list[list[str]]:
+def _depth_u(runs: Sequence[ComparedRun]) -> list[list[str]]:
     """Return u(z) of each run at the same depths: the ends and the middle of all their ranges."""
     rows = [["at depth", *(f"run {i}" for i in range(1, len(runs) + 1))]]
     ends = [end for run in runs for end in run.measuring.calibrated_mm]
@@ -50,7 +50,7 @@ def _depth_u(runs: Sequence[Run]) -> list[list[str]]:
     return rows
 
 
-def _parameters(runs: Sequence[Run]) -> list[list[str]]:
+def _parameters(runs: Sequence[ComparedRun]) -> list[list[str]]:
     """Return values with 95 % intervals, one column a run."""
     estimates = [run.estimates() for run in runs]
     names = list(dict.fromkeys(name for one in estimates for name in one))
@@ -67,7 +67,7 @@ def _parameters(runs: Sequence[Run]) -> list[list[str]]:
     return rows
 
 
-def _scores(runs: Sequence[Run]) -> list[list[str]]:
+def _scores(runs: Sequence[ComparedRun]) -> list[list[str]]:
     names = list(dict.fromkeys(name for run in runs for name in run.scores))
     rows = [["", *(f"run {i}" for i in range(1, len(runs) + 1))]]
     for name in names:
@@ -115,7 +115,7 @@ def verdicts(changes: Sequence[Drift]) -> str:
     return "".join(f"{_title(drift)}\n" for drift in changes)
 
 
-def document(runs: Sequence[Run], changes: Sequence[Drift]) -> dict[str, Any]:
+def document(runs: Sequence[ComparedRun], changes: Sequence[Drift]) -> dict[str, Any]:
     """Return runs and what has changed for programs."""
     return {
         "runs": [
@@ -148,4 +148,4 @@ def html(found: Sequence[Table]) -> str:
         f"its table, with less than {100 * FAMILY_RISK:.0f} % probability. Runs are taken as "
         "independent, unless a note says otherwise."
     )
-    return plain_page("Runs side by side", [*blocks, Paragraph(note)], generator="calib compare")
+    return plain_page("Runs side by side", [*blocks, Text(note)], generator="calib compare")

@@ -12,7 +12,7 @@ from calib.core.errors import CalibError, InputError
 from calib.core.words import counted
 from calib.history.drawing import chart_rows, legend
 from calib.history.drift import drifts
-from calib.history.entry import Entry
+from calib.history.entry import IndexEntry
 from calib.history.output import changes_tables
 from calib.history.quantities import series
 from calib.history.read import read_run
@@ -20,11 +20,11 @@ from calib.history.summary import due, due_text, notes, show, since
 from calib.report.plain_page import (
     Block,
     Cell,
-    Drawing,
+    FigureRow,
     Link,
-    Paragraph,
     PlainTable,
-    State,
+    StateCell,
+    Text,
     plain_page,
 )
 from calib.uncertainty.charts import charts, reference
@@ -35,7 +35,7 @@ REPORT = "report.html"
 
 
 def rig_page(
-    history: Sequence[Entry],
+    history: Sequence[IndexEntry],
     *,
     accepted: int,
     tolerance_mm: float | None,
@@ -62,20 +62,20 @@ def rig_page(
     said += [] if unknown else _due(entries, tolerance_mm)
     if repaired is not None and not unknown:
         said.append(f"Repaired on {repaired}: calibrations before do not count.")
-    blocks: list[Block] = [Paragraph(text) for text in said]
+    blocks: list[Block] = [Text(text) for text in said]
     # A note below its line: beside it, it would squeeze the figures.
     lines = [cells for row in rows for cells in (_states(row[:-1]), [row[-1]]) if cells != [""]]
     blocks.append(PlainTable("Control charts", head[:-1], lines))
     if len(entries) > accepted:
         drawn = chart_rows(series(entries), accepted=accepted)
-        blocks.append(Drawing("Charts", drawn, legend(accepted=accepted, of="calibrations")))
+        blocks.append(FigureRow("Charts", drawn, legend(accepted=accepted, of="calibrations")))
     blocks += _last_change(entries)
     blocks.append(_calibrations(entries))
     return plain_page(f"Rig {entries[0].rig}", blocks, generator=GENERATOR)
 
 
 def fleet_page(
-    rigs: Sequence[Sequence[Entry]],
+    rigs: Sequence[Sequence[IndexEntry]],
     *,
     accepted: int,
     tolerance_mm: float | None,
@@ -86,7 +86,11 @@ def fleet_page(
     for history in rigs:
         entries, unknown = _counting(history, (repairs or {}).get(history[0].rig))
         alarms = [unknown] if unknown else _alarms(entries, accepted)
-        state = State("; ".join(alarms), good=False) if alarms else State("in control", good=True)
+        state = (
+            StateCell("; ".join(alarms), good=False)
+            if alarms
+            else StateCell("in control", good=True)
+        )
         charted: Cell = state if alarms or len(entries) > accepted else "no chart yet"
         day = "" if unknown or tolerance_mm is None else _day(entries, tolerance_mm)
         serial = entries[0].rig
@@ -98,7 +102,7 @@ def fleet_page(
     table = PlainTable("", head, [row for _, _, row in sorted(rows, key=lambda r: r[:2])])
     number = sum(alarms < 0 for alarms, _, _ in rows)
     said = f"{counted(len(rows), 'rig')}, {number or 'none'} with an alarm."
-    return plain_page("All rigs", [Paragraph(said), table], generator=GENERATOR)
+    return plain_page("All rigs", [Text(said), table], generator=GENERATOR)
 
 
 def page_name(serial: str) -> str:
@@ -109,7 +113,7 @@ def page_name(serial: str) -> str:
     return f"{plain}-{hashlib.sha256(serial.encode()).hexdigest()[:8]}.html"
 
 
-def _alarms(entries: Sequence[Entry], accepted: int) -> list[str]:
+def _alarms(entries: Sequence[IndexEntry], accepted: int) -> list[str]:
     found: list[str] = []
     if len(entries) <= accepted:
         return found
@@ -125,7 +129,7 @@ def _alarms(entries: Sequence[Entry], accepted: int) -> list[str]:
     return found
 
 
-def _state(entries: Sequence[Entry], accepted: int) -> list[str]:
+def _state(entries: Sequence[IndexEntry], accepted: int) -> list[str]:
     """Return whether the rig is in control, in words; nothing where there is no chart yet."""
     if len(entries) <= accepted:
         return []
@@ -134,12 +138,12 @@ def _state(entries: Sequence[Entry], accepted: int) -> list[str]:
 
 
 def _states(row: Sequence[str]) -> list[Cell]:
-    return [State(cell, good=False) if cell.startswith("ALARM") else cell for cell in row]
+    return [StateCell(cell, good=False) if cell.startswith("ALARM") else cell for cell in row]
 
 
 def _counting(
-    history: Sequence[Entry], repaired: date | None
-) -> tuple[Sequence[Entry], str | None]:
+    history: Sequence[IndexEntry], repaired: date | None
+) -> tuple[Sequence[IndexEntry], str | None]:
     """Return the calibrations that count, or all of them and why none does."""
     try:
         return since(history, repaired), None
@@ -147,15 +151,15 @@ def _counting(
         return history, f"Not calibrated since its repair on {repaired}"
 
 
-def _day(entries: Sequence[Entry], tolerance_mm: float) -> Cell:
+def _day(entries: Sequence[IndexEntry], tolerance_mm: float) -> Cell:
     found = due(entries, tolerance_mm=tolerance_mm)
     if found is None:
         return ""
     day = found[0].isoformat()
-    return State(f"overdue {day}", good=False) if found[0] < date.today() else day
+    return StateCell(f"overdue {day}", good=False) if found[0] < date.today() else day
 
 
-def _due(entries: Sequence[Entry], tolerance_mm: float | None) -> list[str]:
+def _due(entries: Sequence[IndexEntry], tolerance_mm: float | None) -> list[str]:
     if tolerance_mm is None:
         return []
     found = due(entries, tolerance_mm=tolerance_mm)
@@ -164,21 +168,21 @@ def _due(entries: Sequence[Entry], tolerance_mm: float | None) -> list[str]:
     return [f"Next calibration, for {tolerance_mm:g} mm: {'; '.join(due_text(found))}."]
 
 
-def _last_change(entries: Sequence[Entry]) -> list[Block]:
+def _last_change(entries: Sequence[IndexEntry]) -> list[Block]:
     """Return what changed last, if both calibrations are still there."""
     if len(entries) < 2:
         return []
     try:
         runs = [read_run(Path(entry.path)) for entry in entries[-2:]]
     except CalibError as error:
-        return [Paragraph(f"The last two calibrations cannot be compared: {error}")]
+        return [Text(f"The last two calibrations cannot be compared: {error}")]
     return [
         PlainTable(f"What changed last. {title}", head, rows)
         for title, (head, *rows) in changes_tables(drifts(runs))
     ]
 
 
-def _calibrations(entries: Sequence[Entry]) -> PlainTable:
+def _calibrations(entries: Sequence[IndexEntry]) -> PlainTable:
     rows: list[list[Cell]] = [
         [e.date, e.dataset, e.model, Link(e.path, (Path(e.path) / REPORT).as_uri())]
         for e in reversed(entries)

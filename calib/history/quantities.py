@@ -15,7 +15,7 @@ import numpy as np
 from calib.core.arrays import FloatArray
 from calib.geometry.parameters import INDEX, vector
 from calib.geometry.plane import Gaze, drawn_planes, gaze_at
-from calib.history.entry import Entry
+from calib.history.entry import IndexEntry
 
 DISTANCES = 3
 """Depths charted: the ends and the middle of what the first calibration covers."""
@@ -46,7 +46,7 @@ class Series:
     std: FloatArray
 
 
-def series(entries: Sequence[Entry]) -> tuple[Series, ...]:
+def series(entries: Sequence[IndexEntry]) -> tuple[Series, ...]:
     """Return the charted quantities of a rig's calibrations, in time order.
 
     Under another model delta2 and axis_z mean something else: theirs are only of calibrations
@@ -60,7 +60,7 @@ def series(entries: Sequence[Entry]) -> tuple[Series, ...]:
     return (*found, *_depths(entries))
 
 
-def _linear(entries: Sequence[Entry], name: str, unit: str, of: tuple[str, ...]) -> Series:
+def _linear(entries: Sequence[IndexEntry], name: str, unit: str, of: tuple[str, ...]) -> Series:
     values, std = [], []
     for e in entries:
         pick = np.array([float(n in of) for n in e.names])
@@ -69,7 +69,7 @@ def _linear(entries: Sequence[Entry], name: str, unit: str, of: tuple[str, ...])
     return Series(name, unit, _dates(entries), np.array(values), np.array(std))
 
 
-def _depths(entries: Sequence[Entry]) -> list[Series]:
+def _depths(entries: Sequence[IndexEntry]) -> list[Series]:
     z = np.linspace(*entries[0].range_mm, DISTANCES)
     gaze = gaze_at(_theta(entries[0]), np.column_stack([np.zeros((DISTANCES, 2)), z]))
     values, std = np.empty((len(entries), DISTANCES)), np.empty((len(entries), DISTANCES))
@@ -84,7 +84,7 @@ def _depths(entries: Sequence[Entry]) -> list[Series]:
     ]
 
 
-def _depths_of(entries: Sequence[Entry], gaze: Gaze) -> tuple[FloatArray, FloatArray]:
+def _depths_of(entries: Sequence[IndexEntry], gaze: Gaze) -> tuple[FloatArray, FloatArray]:
     """Return depths of readings and their standard uncertainties, shape (n, q) each.
 
     Of calibrations with the same free parameters, all together: one by one they would take the
@@ -115,9 +115,9 @@ def _depths_under(theta: FloatArray, gaze: Gaze) -> FloatArray:
     return np.stack(found, axis=1)
 
 
-def _theta(e: Entry) -> FloatArray:
+def _theta(e: IndexEntry) -> FloatArray:
     return vector(dict(zip(e.names, e.values.tolist(), strict=True)))
 
 
-def _dates(entries: Sequence[Entry]) -> tuple[str, ...]:
+def _dates(entries: Sequence[IndexEntry]) -> tuple[str, ...]:
     return tuple(e.date for e in entries)

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from calib.core.errors import InputError
-from calib.history.drift import Run
+from calib.history.drift import ComparedRun
 from calib.instrument.calibration_file import read_whole
 from calib.rows.sketch import RowSketch
 from calib.stages.manifest import refuse_broken_folder
@@ -14,7 +14,7 @@ from calib.stages.manifest import refuse_broken_folder
 RESULT = "calibration.json"
 
 
-def read_run(path: Path, *, allow_edited: bool = False) -> Run:
+def read_run(path: Path, *, allow_edited: bool = False) -> ComparedRun:
     """Return the run in a folder, or of a calibration.json.
 
     Raises
@@ -38,7 +38,7 @@ def read_run(path: Path, *, allow_edited: bool = False) -> Run:
         name: str(entry.get("identified_by", ""))
         for name, entry in posterior.get("parameters", {}).items()
     }
-    return Run(
+    return ComparedRun(
         name=str(path),
         dataset=str(document.get("dataset", {}).get("name", "")),
         model=model,

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TypeAlias
 
 from calib.core.errors import InputError
-from calib.history.entry import FILES, RESULT, Entry, GatesFailedError, read_entry
+from calib.history.entry import FILES, RESULT, GatesFailedError, IndexEntry, read_entry
 from calib.stages.run_folder import MANIFEST
 
 YOUNG_S = 2.5
@@ -26,7 +26,7 @@ Stamp: TypeAlias = str
 
 
 @dataclass(frozen=True)
-class Seen:
+class FolderSeen:
     """What a folder held.
 
     Parameters
@@ -44,7 +44,7 @@ class Seen:
     """
 
     stamp: Stamp
-    entry: Entry | None
+    entry: IndexEntry | None
     fault: str = ""
     has_failed: bool = False
     is_closed: bool = False
@@ -80,10 +80,10 @@ def calibrations_below(roots: Sequence[Path]) -> tuple[list[Path], dict[str, str
 
 def scan(
     roots: Sequence[Path],
-    known: Mapping[str, Seen],
+    known: Mapping[str, FolderSeen],
     *,
     now: Callable[[], float] = time.time,
-) -> dict[str, Seen]:
+) -> dict[str, FolderSeen]:
     """Return what the folders with calibrations at or below `roots` hold, by path.
 
     Parameters
@@ -92,13 +92,15 @@ def scan(
         What was seen before; a folder whose stamp is the same is not read again.
     """
     folders, closed = calibrations_below(roots)
-    found = {path: Seen("", None, why, is_closed=True) for path, why in sorted(closed.items())}
+    found = {
+        path: FolderSeen("", None, why, is_closed=True) for path, why in sorted(closed.items())
+    }
     for folder in folders:
         path = str(folder)
         try:
             path.encode()
         except UnicodeEncodeError:  # the index states paths, as text
-            found[path] = Seen("", None, "is no name in UTF-8: rename it")
+            found[path] = FolderSeen("", None, "is no name in UTF-8: rename it")
             continue
         stamp = _stamp(folder, now())
         before = known.get(path)
@@ -106,11 +108,11 @@ def scan(
     return found
 
 
-def _read(folder: Path, stamp: Stamp) -> Seen:
+def _read(folder: Path, stamp: Stamp) -> FolderSeen:
     try:
-        return Seen(stamp, read_entry(folder))
+        return FolderSeen(stamp, read_entry(folder))
     except ValueError as error:
-        return Seen(stamp, None, str(error), isinstance(error, GatesFailedError))
+        return FolderSeen(stamp, None, str(error), isinstance(error, GatesFailedError))
 
 
 def _stamp(folder: Path, now: float) -> Stamp:

@@ -34,7 +34,7 @@ in height, without which a lens turns the residual a little."""
 
 
 @dataclass(frozen=True)
-class Session:
+class ReadingSession:
     """The targets as read at one time.
 
     Parameters
@@ -51,7 +51,7 @@ class Session:
 
 def read_sessions(
     measuring: Measuring, standard: Standard, text: str, *, name: str
-) -> list[tuple[Measured, Session]]:
+) -> list[tuple[Measured, ReadingSession]]:
     """Return the sessions in time order, each with the positions that it refers to.
 
     Parameters and errors are those of `calib.history.standard.check_standard`.
@@ -67,9 +67,9 @@ def _measured(
     measuring: Measuring,
     block: ReadingBlock,
     own: FloatArray,
-    sessions: Sequence[Session],
+    sessions: Sequence[ReadingSession],
     name: str,
-) -> list[tuple[Measured, Session]]:
+) -> list[tuple[Measured, ReadingSession]]:
     """Return each session with the positions that it refers to.
 
     Parameters
@@ -97,7 +97,7 @@ def _measured(
                 ]
             )
         at = {target: i for i, target in enumerate(session.at)}
-        found.append((alone, Session(session.date, at)))
+        found.append((alone, ReadingSession(session.date, at)))
     return found
 
 
@@ -211,7 +211,7 @@ def _one_spelling(text: str) -> str | None:
     return at.date().isoformat() if midnight else at.isoformat()
 
 
-def _sessions(block: ReadingBlock, standard: Standard, name: str) -> tuple[Session, ...]:
+def _sessions(block: ReadingBlock, standard: Standard, name: str) -> tuple[ReadingSession, ...]:
     by_date: dict[str, dict[str, int]] = {}
     problems = []
     for row, place in enumerate(block.place.tolist()):
@@ -231,7 +231,7 @@ def _sessions(block: ReadingBlock, standard: Standard, name: str) -> tuple[Sessi
     if problems:
         raise InputError(problems)
     ordered = sorted(by_date, key=datetime.fromisoformat)
-    return tuple(Session(date, by_date[date]) for date in ordered)
+    return tuple(ReadingSession(date, by_date[date]) for date in ordered)
 
 
 def _refuse_faults(block: ReadingBlock, measured: Measured, name: str) -> None:
@@ -246,7 +246,7 @@ def _refuse_faults(block: ReadingBlock, measured: Measured, name: str) -> None:
 
 
 def _refuse_one_place(
-    read: Sequence[tuple[Measured, Session]], standard: Standard, name: str
+    read: Sequence[tuple[Measured, ReadingSession]], standard: Standard, name: str
 ) -> None:
     """Raise if both ends of a length were read at one place: it has no direction, and no u."""
     problems = [

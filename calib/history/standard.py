@@ -15,9 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.core.arrays import BoolArray, FloatArray
-from calib.history.certified import Depth, Length, Standard
+from calib.history.certified import CertifiedDepth, CertifiedLength, Standard
 from calib.history.quantities import Series
-from calib.history.sessions import Session, read_sessions
+from calib.history.sessions import ReadingSession, read_sessions
 from calib.instrument.calibration_file import Measuring
 from calib.instrument.measuring import Measured
 from calib.uncertainty.charts import Chart, charts, reference
@@ -100,7 +100,8 @@ def check_standard(measuring: Measuring, standard: Standard, text: str, *, name:
     read = read_sessions(measuring, standard, text, name=name)
     found = [_quantities(measured, standard, one) for measured, one in read]
     certified = [
-        (q.length_mm if isinstance(q, Length) else q.z_mm, q.u_mm) for q in standard.quantities
+        (q.length_mm if isinstance(q, CertifiedLength) else q.z_mm, q.u_mm)
+        for q in standard.quantities
     ]
     return Checked(
         names=tuple(q.name for q in standard.quantities),
@@ -154,7 +155,7 @@ def mean_of(checked: Checked, of: slice) -> tuple[FloatArray, FloatArray]:
 
 
 def _quantities(
-    measured: Measured, standard: Standard, session: Session
+    measured: Measured, standard: Standard, session: ReadingSession
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return values, their covariance by readings alone, and their whole standard uncertainty."""
     by_reading, by_common = [], []
@@ -162,7 +163,7 @@ def _quantities(
     place = {target: k for k, target in enumerate(standard.targets)}
     for quantity in standard.quantities:
         row = np.zeros((len(place), own))
-        if isinstance(quantity, Depth):
+        if isinstance(quantity, CertifiedDepth):
             at = session.at[quantity.target]
             row[place[quantity.target]] = measured.by_depth_row[at, 2]
             common = measured.by_common[at, 2]
@@ -186,7 +187,7 @@ def values_of(position_mm: FloatArray, standard: Standard, at: Mapping[str, int]
     """Return the certified quantities, mm, shape (q,), of targets whose places are given."""
     found = []
     for quantity in standard.quantities:
-        if isinstance(quantity, Depth):
+        if isinstance(quantity, CertifiedDepth):
             found.append(position_mm[at[quantity.target], 2])
         else:
             start, end = (position_mm[at[target]] for target in quantity.between)

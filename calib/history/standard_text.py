@@ -12,7 +12,7 @@ from calib.core.arrays import BoolArray
 from calib.history.causes import likely_causes
 from calib.history.drawing import chart_rows, legend
 from calib.history.standard import Checked, chart_all, degrees_of_freedom, lasting
-from calib.report.plain_page import Block, Cell, Drawing, Paragraph, PlainTable, State, plain_page
+from calib.report.plain_page import Block, Cell, FigureRow, PlainTable, StateCell, Text, plain_page
 from calib.uncertainty.charts import RUN_LENGTH, Chart
 
 GENERATOR = "calib history check"
@@ -159,16 +159,14 @@ def page(title: str, checked: Checked, *, accepted: int) -> str:
     """Return the record as a page."""
     head, *rows = table(checked, accepted=accepted)
     said = findings(checked, accepted=accepted)
-    blocks: list[Block] = [Paragraph(f"{text[:1].upper()}{text[1:]}.") for text in said]
+    blocks: list[Block] = [Text(f"{text[:1].upper()}{text[1:]}.") for text in said]
     if not said and len(checked.dates) > accepted:
-        blocks.append(Paragraph("All charts are in control, and the last session agrees."))
-    blocks += [
-        Paragraph(f"{text[:1].upper()}{text[1:]}.") for text in notes(checked, accepted=accepted)
-    ]
+        blocks.append(Text("All charts are in control, and the last session agrees."))
+    blocks += [Text(f"{text[:1].upper()}{text[1:]}.") for text in notes(checked, accepted=accepted)]
     blocks.append(PlainTable("", head, [_states(row) for row in rows]))
     if len(checked.dates) > accepted:
         drawn = chart_rows(checked.series(), accepted=accepted)
-        blocks.append(Drawing("Charts", drawn, legend(accepted=accepted, of="sessions")))
+        blocks.append(FigureRow("Charts", drawn, legend(accepted=accepted, of="sessions")))
     lines = [
         [day, *(f"{value:.6g}" for value in values)]
         for day, values in zip(checked.dates, checked.values, strict=True)
@@ -179,6 +177,8 @@ def page(title: str, checked: Checked, *, accepted: int) -> str:
 
 def _states(row: Sequence[str]) -> list[Cell]:
     return [
-        State(cell, good=False) if cell.startswith("ALARM") or cell.endswith("OUTSIDE") else cell
+        StateCell(cell, good=False)
+        if cell.startswith("ALARM") or cell.endswith("OUTSIDE")
+        else cell
         for cell in row
     ]

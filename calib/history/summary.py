@@ -10,7 +10,7 @@ import numpy as np
 from calib.core.errors import InputError
 from calib.core.words import counted
 from calib.history.due import LONGEST, Due, next_due
-from calib.history.entry import Entry
+from calib.history.entry import IndexEntry
 from calib.history.quantities import Series, series
 from calib.uncertainty.charts import UNCERTAINTY_RISK, charts, reference, scatter_test
 
@@ -21,7 +21,7 @@ what the charts look for; with more a rig calibrated yearly has no chart for yea
 GUIDE = "ILAC-G24:2022 / OIML D 10"
 
 
-def show(entries: Sequence[Entry], *, accepted: int = ACCEPTED) -> list[list[str]]:
+def show(entries: Sequence[IndexEntry], *, accepted: int = ACCEPTED) -> list[list[str]]:
     """Return a table, its head first: each quantity with its charts' state and its scatter."""
     rows = [["quantity", "reference", "last", "u", "Shewhart", "EWMA", "CUSUM", "chi2/dof", ""]]
     return rows + [_line(s, accepted) for s in series(entries)]
@@ -51,7 +51,7 @@ def _line(s: Series, accepted: int) -> list[str]:
     return [*figures, *states, f"{ratio:.2f}", note]
 
 
-def notes(entries: Sequence[Entry], *, accepted: int = ACCEPTED) -> list[str]:
+def notes(entries: Sequence[IndexEntry], *, accepted: int = ACCEPTED) -> list[str]:
     """Return what a reader of the table must know of this history."""
     found = []
     if len(entries) <= accepted:
@@ -81,7 +81,7 @@ def notes(entries: Sequence[Entry], *, accepted: int = ACCEPTED) -> list[str]:
     return found
 
 
-def since(entries: Sequence[Entry], repaired: date | None) -> Sequence[Entry]:
+def since(entries: Sequence[IndexEntry], repaired: date | None) -> Sequence[IndexEntry]:
     """Return the calibrations that count: those before a repair are of another rig.
 
     Raises
@@ -99,7 +99,7 @@ def since(entries: Sequence[Entry], repaired: date | None) -> Sequence[Entry]:
     return kept
 
 
-def due(entries: Sequence[Entry], *, tolerance_mm: float) -> tuple[date, Due, Series] | None:
+def due(entries: Sequence[IndexEntry], *, tolerance_mm: float) -> tuple[date, Due, Series] | None:
     """Return the earliest due date over the depths charted; None if there is no interval yet.
 
     Of calibrations on one day the last counts.

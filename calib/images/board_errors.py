@@ -2,7 +2,7 @@
 
 No view contradicts another by it, so that views cannot tell (`calib.images.disagreement`); what the
 corners leave does. Corners are taken to be displaced at random: each by itself and smoothly over
-some squares, in the plane (a printer), and smoothly out of it (a plate, besides the bow that is
+some squares, in the plane (a printer), and smoothly out of it (a plate, besides the warp that is
 solved). With E the derivatives of the residuals r by places on the board, Q what the unknowns leave
 of them and R_k the correlation of displacements of kind k, variance components follow from moments
 (Rao 1971, doi 10.1016/0047-259X(71)90001-7, MINQUE with equal weights),

@@ -51,19 +51,19 @@ class Minimum(NamedTuple):
 
 
 def deformed(points: FloatArray, warp_mm: tuple[float, float] | None) -> FloatArray:
-    """Return board points, shape (n, 3), mm, with the bow of `LensFit.board_warp_mm` put in.
+    """Return board points, shape (n, 3), mm, with the warp of `LensFit.board_warp_mm` put in.
 
-    The bow is mrcal's: a parabola each along x and along y, 0 at the outer corners.
+    The warp is mrcal's: a parabola each along x and along y, 0 at the outer corners.
     """
     if warp_mm is None:
         return points
     shaped = points.copy()
-    shaped[:, 2] += bow_shapes(points) @ np.array(warp_mm)
+    shaped[:, 2] += warp_shapes(points) @ np.array(warp_mm)
     return shaped
 
 
-def bow_shapes(points: FloatArray) -> FloatArray:
-    """Return how a bow of 1 mm along x and one along y lift board points, mm, shape (n, 2)."""
+def warp_shapes(points: FloatArray) -> FloatArray:
+    """Return how a warp of 1 mm along x and one along y lift board points, mm, shape (n, 2)."""
     low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
     place = (points[:, :2] - low) / (high - low)
     shapes: FloatArray = 4 * place * (1 - place)

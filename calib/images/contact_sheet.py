@@ -20,7 +20,7 @@ LEAST_WIDTH_PX = 120
 
 
 @dataclass(frozen=True)
-class Pictures:
+class SheetPictures:
     """Images of one camera.
 
     Parameters
@@ -61,7 +61,7 @@ class ContactSheet:
     pictures: NDArray[np.uint8]
 
 
-def contact_sheet(folder: Path, pictures: Pictures, corners: Corners) -> ContactSheet:
+def contact_sheet(folder: Path, pictures: SheetPictures, corners: Corners) -> ContactSheet:
     """Return small copies of all pictures that exist: boards not found first, then as they come."""
     here = [i for i, sha in enumerate(pictures.sha256) if sha]
     shown = sorted(here, key=lambda i: corners.detector[i] != "none")

@@ -11,7 +11,7 @@ from numpy.random import SeedSequence
 from calib.core.arrays import FloatArray
 from calib.geometry.board import Board, Corners
 from calib.geometry.camera import Camera
-from calib.images.contact_sheet import Pictures
+from calib.images.contact_sheet import SheetPictures
 from calib.images.detection.find import detect
 from calib.images.detection.picture import read_grey
 from calib.images.intrinsics.calibrate import Intrinsics, calibrate_intrinsics
@@ -24,7 +24,7 @@ from calib.images.sweep.yaw_axis import SweepResult, yaw_sweep
 
 
 @dataclass(frozen=True)
-class Known:
+class KnownCorners:
     """Corners that need not be detected, by image, px, shape (corners, 2)."""
 
     corners: Mapping[str, FloatArray]
@@ -32,9 +32,9 @@ class Known:
 
 def find_corners(
     folder: Path,
-    pictures: Pictures,
+    pictures: SheetPictures,
     board: Board,
-    known: Known,
+    known: KnownCorners,
     *,
     detector: str,
     progress: Callable[[int, int], None] | None = None,
@@ -59,7 +59,7 @@ def find_corners(
     )
 
 
-def _size(folder: Path, pictures: Pictures) -> tuple[int, int]:
+def _size(folder: Path, pictures: SheetPictures) -> tuple[int, int]:
     there = zip(pictures.names, pictures.sha256, strict=True)
     first, sha256 = next((name, sha) for name, sha in there if sha)
     height, width = read_grey(folder / first, name=first, sha256=sha256).shape

@@ -20,7 +20,7 @@ from calib.images.adjustment.result import AdjustedModel, Adjustment
 from calib.images.stereo.triangulate import POSE_NAMES
 from calib.instrument.calibrated import EVALUATION, CalibratedInstrument, DepthTable
 from calib.instrument.validation import ValidationResult
-from calib.rows.common_errors import RANK, Shared
+from calib.rows.common_errors import RANK, CommonErrors
 from calib.rows.from_table import CameraSet, RowSettings, Setup
 from calib.rows.observations import Observations
 from calib.uncertainty.measurement import ParameterKnowledge, SharedErrors
@@ -48,7 +48,7 @@ class Described:
 def adjusted_setup(adjustment: Adjustment, settings: RowSettings) -> Setup:
     """Return cameras and shared errors as the adjustment has them."""
     record = adjustment.complete
-    shared = Shared.of(record.lens_names, record.lens_covariance)
+    shared = CommonErrors.of(record.lens_names, record.lens_covariance)
     return Setup(settings, CameraSet(*record.cameras), shared)
 
 
@@ -81,7 +81,7 @@ def adjust_instrument(
     return replace(calibrated, model=record.model, instrument=instrument, setup=setup)
 
 
-def moved_by_lenses(record: AdjustedModel, shared: Shared) -> FloatArray:
+def moved_by_lenses(record: AdjustedModel, shared: CommonErrors) -> FloatArray:
     """Return how far a unit of each error of the lenses moves the parameters, shape (p, k).
 
     With L the factor of the lenses' covariance and S the covariance of parameters with lenses,
@@ -119,7 +119,7 @@ class Agreement:
 def agreement(
     adjustment: Adjustment,
     rows: Observations,
-    shared: Shared,
+    shared: CommonErrors,
     *,
     noise_factor: float = 1.0,
     outliers: Collection[str] = (),
@@ -170,7 +170,7 @@ def agreement(
     return Agreement(statistic, len(kept), float(chi2.sf(statistic, len(kept))))
 
 
-def _with_shared(record: AdjustedModel, shared: Shared) -> FloatArray:
+def _with_shared(record: AdjustedModel, shared: CommonErrors) -> FloatArray:
     """Return the covariance of the parameters with the errors that rows share, shape (p, k).
 
     None is correlated by more than 1: factors by which views contradict each other are not the same

@@ -23,7 +23,7 @@ from calib.document.measurement import Spread as SpreadPart
 from calib.document.part import FinitePart
 from calib.document.reading import CameraFile, MeasuringFile
 from calib.geometry.camera import Camera
-from calib.rows.common_errors import Shared
+from calib.rows.common_errors import CommonErrors
 from calib.rows.from_table import CameraSet, RowSettings, Setup
 from calib.stages.manifest import refuse_broken
 from calib.uncertainty.measurement import (
@@ -216,10 +216,12 @@ def _one(
         encoder_step_rad=m.stated.encoder_step_rad,
         u_alpha2_rad=m.stated.u_alpha2_rad,
     )
-    shared = Shared()
+    shared = CommonErrors()
     if m.shared is not None:
         factor = np.array(m.shared.factor)
-        shared = Shared(m.shared.names, factor, m.shared.sources or (UNNAMED,) * factor.shape[1])
+        shared = CommonErrors(
+            m.shared.names, factor, m.shared.sources or (UNNAMED,) * factor.shape[1]
+        )
     return Measuring(
         instrument=Instrument(_knowledge(m), reading, _errors(m, shared.error_names)),
         setup=Setup(settings, CameraSet(cameras.get("c1"), cameras.get("c2")), shared),

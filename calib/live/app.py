@@ -25,7 +25,7 @@ from calib.live.access import Access, Guarded, token_of
 from calib.live.commands import Answer, Command, Job, Mark, Pick, Picture, Stop, Take, parse
 from calib.live.jobs import RUN_FILES
 from calib.live.session import Session
-from calib.live.streams import Shown
+from calib.live.streams import ShownPicture
 
 STATIC: Final = {
     "live.css": "text/css",
@@ -224,7 +224,7 @@ class Pages:
         await page.socket.send_bytes(picture_message(camera, shown, stream.age_ms(shown)))
 
 
-def picture_message(camera: str, shown: Shown, age_ms: float) -> bytes:
+def picture_message(camera: str, shown: ShownPicture, age_ms: float) -> bytes:
     """Return a picture as it is sent: length of the head, 4 bytes, the head, JSON, the JPEG."""
     head = json.dumps(
         {

@@ -55,7 +55,7 @@ class Places:
 
 
 @dataclass(frozen=True)
-class Calibrated:
+class RigCalibration:
     """A calibration of this rig, with its file.
 
     Parameters
@@ -83,7 +83,7 @@ class Calibrated:
 
 def read_calibrated(
     path: Path, rig: RigDevices, *, allow_edited: bool = False, accepted: bool = False
-) -> Calibrated:
+) -> RigCalibration:
     """Return the calibration in a file.
 
     Parameters
@@ -98,7 +98,7 @@ def read_calibrated(
     """
     measuring = read_calibration(path, allow_edited=allow_edited)
     known = lenses(measuring, rig, name=str(path))
-    return Calibrated(path, measuring, known.c1, known.c2, accepted)
+    return RigCalibration(path, measuring, known.c1, known.c2, accepted)
 
 
 @dataclass
@@ -133,7 +133,7 @@ class Bench:
     record: Record
     calib: Sequence[str]
     board: Board | None = None
-    calibrated: Calibrated | None = None
+    calibrated: RigCalibration | None = None
     csv: list[str] = field(default_factory=list)
     lengths_csv: list[str] = field(default_factory=list)
     last_mm: float | None = None

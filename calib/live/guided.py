@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from calib.capture.description import describe, read_manifest, refuse_other
-from calib.capture.guidance.asked import Asked, Role
+from calib.capture.guidance.asked import AskedPose, Role
 from calib.capture.guidance.need import Need, need_for
 from calib.capture.guided import Ended, Guided
 from calib.capture.holding import Holding, VirtualHolding
@@ -30,7 +30,7 @@ class _PageHolding:
         self._bench = bench
         self._virtual = virtual
 
-    def hold(self, asked: Asked) -> None:
+    def hold(self, asked: AskedPose) -> None:
         """Begin to hold the board as asked."""
         self._refuse_stopped()
         if self._virtual is not None:
@@ -111,7 +111,7 @@ def _told(bench: Bench, text: str) -> None:
     count_pictures(bench)
 
 
-def _show(bench: Bench, asked: Asked | None, _: Mapping[Role, Grey], fault: str) -> None:
+def _show(bench: Bench, asked: AskedPose | None, _: Mapping[Role, Grey], fault: str) -> None:
     """Publish what is asked for; the page draws it over its own pictures."""
     if asked is None:
         bench.record.put(asked=None)

@@ -28,7 +28,7 @@ from calib.gaze.row import GazeRow
 from calib.gaze.table import line, refused
 from calib.instrument.measured_text import is_extrapolated, status_of
 from calib.instrument.measuring import Positions
-from calib.live.bench import Bench, Calibrated
+from calib.live.bench import Bench, RigCalibration
 from calib.live.commands import Calibrate, Capture, Check, Gaze, Job, Length, Pictures
 from calib.live.guarded import Stopped
 from calib.live.guided import count_pictures, take_pictures
@@ -270,7 +270,7 @@ def _gaze(bench: Bench, job: Gaze) -> None:
         bench.record.add("measurements", _shown(name, row, found, known))
 
 
-def _shown(name: str, row: GazeRow, found: Positions, known: Calibrated) -> dict[str, Any]:
+def _shown(name: str, row: GazeRow, found: Positions, known: RigCalibration) -> dict[str, Any]:
     """Return a measurement as pages show it."""
     beyond = is_extrapolated(found.position_mm[:, 2], known.measuring.calibrated_mm)
     interval = [float(found.low95_mm[0]), float(found.high95_mm[0])]
@@ -320,7 +320,7 @@ def _length(bench: Bench, job: Length) -> None:
     )
 
 
-def _calibrated(bench: Bench) -> Calibrated:
+def _calibrated(bench: Bench) -> RigCalibration:
     if bench.calibrated is None:
         raise UsageError("there is no calibration; calibrate first, or begin with a file")
     return bench.calibrated

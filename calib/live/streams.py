@@ -31,7 +31,7 @@ QUALITY: Final = 80
 
 
 @dataclass(frozen=True)
-class Shown:
+class ShownPicture:
     """A picture as pages get it.
 
     Parameters
@@ -99,7 +99,7 @@ class Stream:
         self._closing = threading.Event()
         self._listeners: list[Callable[[], None]] = []
         self._thread = threading.Thread(target=self._run, name="stream", daemon=True)
-        self.shown: Shown | None = None
+        self.shown: ShownPicture | None = None
 
     def start(self) -> None:
         """Begin."""
@@ -120,7 +120,7 @@ class Stream:
         self._asked_at = time.monotonic()
         self._asked.set()
 
-    def age_ms(self, shown: Shown) -> float:
+    def age_ms(self, shown: ShownPicture) -> float:
         """Return how old a picture is now, ms."""
         return max(0.0, (self._clock.now_ns() - shown.exposed_ns) / 1e6)
 
@@ -163,14 +163,14 @@ class Stream:
         self.shown = self._made(frame, 1 if before is None else before.number + 1)
         return True
 
-    def _made(self, frame: Frame, number: int) -> Shown:
+    def _made(self, frame: Frame, number: int) -> ShownPicture:
         looked = (target.find(frame.pixels) for target in self._targets())
-        seen = [sighting for sighting in looked if sighting is not None]
+        seen = [observation for observation in looked if observation is not None]
         _, data = cv2.imencode(".jpg", frame.pixels, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
         height, width = frame.pixels.shape
-        points = np.concatenate([np.empty((0, 2)), *(sighting.marks_px for sighting in seen)])
+        points = np.concatenate([np.empty((0, 2)), *(observation.marks_px for observation in seen)])
         points = points[np.isfinite(points).all(axis=1)]
-        return Shown(
+        return ShownPicture(
             number=number,
             serial=frame.serial,
             jpeg=data.tobytes(),

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.core.arrays import FloatArray
-from calib.fit.priors import Measured, Priors
+from calib.fit.priors import MeasuredParameters, Priors
 from calib.geometry.mirror import (
     OBSERVABLE_SIGN,
     mirror_camera,
@@ -17,7 +17,7 @@ from calib.geometry.mirror import (
     signed,
     signs,
 )
-from calib.rows.common_errors import FRESH, Shared
+from calib.rows.common_errors import FRESH, CommonErrors
 from calib.rows.from_table import CameraSet, Setup, ValidationRows
 from calib.rows.observations import Observations
 
@@ -30,13 +30,13 @@ class Mirror:
     ----------
     common
         Signs of the k standard-normal errors that all rows share, shape (k,). In the mirror each
-        moves the first quantity of its own upwards, as `Shared.of` has it on either side.
+        moves the first quantity of its own upwards, as `CommonErrors.of` has it on either side.
     """
 
     common: FloatArray
 
     @classmethod
-    def of(cls, shared: Shared) -> Mirror:
+    def of(cls, shared: CommonErrors) -> Mirror:
         """Return the mirror for a rig's shared errors."""
         # What is left of rounding before a column's first quantity moves nothing.
         size = np.linalg.norm(shared.factor, axis=1, keepdims=True)
@@ -48,7 +48,7 @@ class Mirror:
         """Return the signs of so many errors: what groups of rows share besides is even."""
         return np.append(self.common, np.ones(count - len(self.common)))
 
-    def shared(self, shared: Shared) -> Shared:
+    def shared(self, shared: CommonErrors) -> CommonErrors:
         """Return the shared errors of intrinsics and pose of C2."""
         sign = np.outer(shared_signs(shared.names), self.common)
         return replace(shared, factor=signed(shared.factor, sign))
@@ -90,7 +90,7 @@ def mirror_priors(priors: Priors) -> Priors:
     return Priors(stated, None if priors.measured is None else _measured(priors.measured))
 
 
-def _measured(measured: Measured) -> Measured:
+def _measured(measured: MeasuredParameters) -> MeasuredParameters:
     sign = signs(measured.names)
     return replace(
         measured,

@@ -14,7 +14,7 @@ from calib.geometry.parameters import PARAMETERS
 from calib.plan.design import (
     REGULAR,
     Knowledge,
-    Noise,
+    RowNoise,
     choose,
     d_criterion,
     depth_vectors,
@@ -30,7 +30,7 @@ RANDOM_SETS = 100
 
 
 @dataclass(frozen=True)
-class Targets:
+class RankedTargets:
     """Targets in the order of what each adds.
 
     Parameters
@@ -78,14 +78,14 @@ class Advice:
     depths_mm: FloatArray
     before_rel: FloatArray
     random_rel: FloatArray
-    targets: Mapping[str, Targets]
+    targets: Mapping[str, RankedTargets]
     candidates_mm: FloatArray
 
 
 def advise(
     knowledge: Knowledge,
     field: Field,
-    noise: Noise,
+    noise: RowNoise,
     rng: Generator,
     *,
     asked_mm: FloatArray,
@@ -158,12 +158,12 @@ def _targets(
     candidates: FloatArray,
     asked: FloatArray,
     chosen: IntArray,
-) -> Targets:
+) -> RankedTargets:
     information = regular(knowledge)
     own = points[chosen]
     rows = rows_at(knowledge, own, _SILENT)
     after = [_u_rel(information, candidates[chosen[: i + 1]], asked) for i in range(len(chosen))]
-    return Targets(
+    return RankedTargets(
         points_mm=own,
         x1c=rows.x1c,
         y1c=rows.y1c,
@@ -172,4 +172,4 @@ def _targets(
     )
 
 
-_SILENT = Noise(reading=np.zeros(4), z_mm=0.0, z_rel=0.0)
+_SILENT = RowNoise(reading=np.zeros(4), z_mm=0.0, z_rel=0.0)

@@ -60,7 +60,7 @@ class Knowledge:
 
 
 @dataclass(frozen=True)
-class Noise:
+class RowNoise:
     """Standard uncertainties of a row to come: x1c, y1c, alpha2 and residual as in `OBSERVABLE`.
 
     Parameters
@@ -82,7 +82,7 @@ class Noise:
         return u
 
 
-def rows_at(knowledge: Knowledge, points: FloatArray, noise: Noise) -> Observations:
+def rows_at(knowledge: Knowledge, points: FloatArray, noise: RowNoise) -> Observations:
     """Return the rows, without errors, that targets `points`, mm, shape (m, 3), would give."""
     gaze = gaze_at(knowledge.theta, points)
     z = points[:, 2]

@@ -15,8 +15,8 @@ from matplotlib.ticker import MaxNLocator
 
 from calib.core.arrays import FloatArray
 from calib.core.errors import UsageError
-from calib.plan.advise import Advice, Targets
-from calib.plan.prepare import Start
+from calib.plan.advise import Advice, RankedTargets
+from calib.plan.prepare import PlanStart
 
 INK, MUTED, BLUE, RED = "#1b1b1b", "#6b6b6b", "#0072B2", "#D55E00"
 
@@ -58,7 +58,7 @@ def picture_format(path: Path) -> str:
     return kind
 
 
-def text(advice: Advice, start: Start) -> str:
+def text(advice: Advice, start: PlanStart) -> str:
     """Return the advice as a table for the terminal, with what it rests on."""
     so_far = len(start.points_mm)
     near, far = start.between_mm
@@ -88,7 +88,7 @@ def text(advice: Advice, start: Start) -> str:
     return "\n".join(lines) + "\n"
 
 
-def document(advice: Advice, start: Start) -> dict[str, Any]:
+def document(advice: Advice, start: PlanStart) -> dict[str, Any]:
     """Return the advice as a JSON object: depths and places in mm, u(z) relative to the depth."""
     return {
         "model": advice.model,
@@ -127,7 +127,7 @@ def _figures(u_rel: FloatArray, advice: Advice) -> str:
     )
 
 
-def _targets(advice: Advice, targets: Targets) -> list[str]:
+def _targets(advice: Advice, targets: RankedTargets) -> list[str]:
     lines = []
     for i, (x, y, z) in enumerate(targets.points_mm):
         angle = np.rad2deg(targets.alpha2_rad[i])
@@ -177,7 +177,7 @@ def _from_above(axes: Axes, advice: Advice, rows_mm: FloatArray) -> None:
     axes.legend(loc="best", fontsize=7)
 
 
-def _number(axes: Axes, targets: Targets) -> None:
+def _number(axes: Axes, targets: RankedTargets) -> None:
     """Write the numbers of targets beside them, those of one place together."""
     places: dict[tuple[float, float], list[str]] = {}
     for i, (x, _, z) in enumerate(targets.points_mm):

@@ -19,7 +19,7 @@ from calib.fit.scale import scaled_defaults
 from calib.fit.start import first_guess
 from calib.geometry.parameters import INDEX, MODELS, Model, embed, model_for
 from calib.geometry.plane import OBSERVABLE
-from calib.plan.design import Knowledge, Noise, row_vectors
+from calib.plan.design import Knowledge, RowNoise, row_vectors
 from calib.plan.field import Field, field_of
 from calib.plan.prior_knowledge import PriorKnowledge
 from calib.rows.from_table import RowSettings, row_priors, row_settings
@@ -31,7 +31,7 @@ stereo with a baseline of a decimetre, at a metre."""
 
 
 @dataclass(frozen=True)
-class Start:
+class PlanStart:
     """What the advice starts from.
 
     Parameters
@@ -50,7 +50,7 @@ class Start:
 
     knowledge: Knowledge
     field: Field
-    noise: Noise
+    noise: RowNoise
     between_mm: tuple[float, float]
     points_mm: FloatArray
     notes: tuple[str, ...]
@@ -65,7 +65,7 @@ def prepare(
     asked_mm: FloatArray,
     targets_mm: tuple[float, float] | None,
     yaw_deg: tuple[float, float],
-) -> Start:
+) -> PlanStart:
     """Return the start: the fit of the rows so far, or the priors if there are no rows.
 
     Raises
@@ -92,7 +92,7 @@ def prepare(
             notes += ("errors that all rows share, of intrinsics and stereo, come on top of u(z)",)
         points = rows.z_mm[:, None] * np.column_stack([rows.x1c, rows.y1c, np.ones(len(rows))])
     field, unseen = _field(prior_knowledge, yaw_deg)
-    return Start(
+    return PlanStart(
         knowledge=knowledge,
         field=field,
         noise=_noise(settings, rows),
@@ -162,7 +162,7 @@ def _settings(dataset: Dataset) -> tuple[RowSettings, tuple[str, ...]]:
     return assumed, (note,)
 
 
-def _noise(settings: RowSettings, rows: Observations | None) -> Noise:
+def _noise(settings: RowSettings, rows: Observations | None) -> RowNoise:
     """Return the uncertainty of a row to come: that of the rows so far, or as stated."""
     if rows is None:
         reading = np.zeros(OBSERVABLE.z)
@@ -170,9 +170,9 @@ def _noise(settings: RowSettings, rows: Observations | None) -> Noise:
         step = settings.encoder_step_rad / np.sqrt(12)
         reading[OBSERVABLE.alpha2] = np.hypot(step, settings.u_alpha2_rad)
         mm = float(np.hypot(settings.u_z_mm, settings.u_z_group_mm))
-        return Noise(reading, mm, float(np.hypot(settings.u_z_rel, settings.u_z_group_rel)))
+        return RowNoise(reading, mm, float(np.hypot(settings.u_z_rel, settings.u_z_group_rel)))
     reading = np.median(rows.std[:, : OBSERVABLE.z], axis=0)
-    return Noise(reading, *_depth_noise(rows.z_mm, rows.std[:, OBSERVABLE.z]))
+    return RowNoise(reading, *_depth_noise(rows.z_mm, rows.std[:, OBSERVABLE.z]))
 
 
 def _depth_noise(z_mm: FloatArray, u_mm: FloatArray) -> tuple[float, float, float]:

@@ -10,7 +10,7 @@ from calib.checks.verdict import all_gates
 from calib.core.errors import UsageError
 from calib.core.gate import Gate, failed
 from calib.dataset.contents import Dataset
-from calib.fit.priors import Measured
+from calib.fit.priors import MeasuredParameters
 from calib.rows.from_table import CameraSet, Setup, row_settings
 from calib.rows.observations import Observations
 from calib.rows.repeated_readings import observe_gazes
@@ -38,7 +38,7 @@ class PriorKnowledge:
 
     rows: Observations | None
     cameras: CameraSet
-    measured: Measured | None = None
+    measured: MeasuredParameters | None = None
     baseline_mm: float | None = None
     failed_gates: tuple[Gate, ...] = ()
 

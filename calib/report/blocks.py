@@ -97,7 +97,7 @@ class Notice:
 
 
 @dataclass(frozen=True)
-class Command:
+class CommandLine:
     """A command to type."""
 
     text: str
@@ -185,7 +185,7 @@ Block: TypeAlias = (
     | DefinitionList
     | KeyFigures
     | Notice
-    | Command
+    | CommandLine
     | Picture
     | PictureSheet
     | Scene
@@ -194,7 +194,7 @@ Block: TypeAlias = (
 
 
 @dataclass(frozen=True)
-class Section:
+class Chapter:
     """A chapter of the report; `key` is its anchor; one that `is_open` is not folded at first."""
 
     key: str

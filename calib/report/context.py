@@ -9,7 +9,7 @@ import numpy as np
 
 from calib.dataset.contents import Dataset
 from calib.dataset.depth_origin import ahead_of_c1
-from calib.dataset.manifest import DEFAULT_U_X1C, Gaze, Manifest, Validation
+from calib.dataset.manifest import DEFAULT_U_X1C, GazeSection, Manifest, ValidationSection
 from calib.dataset.tables import GazeTable
 from calib.geometry.parameters import REFERENCE_OFFSET
 from calib.stages.provenance import Provenance
@@ -155,7 +155,7 @@ def _depth(kind: str, rows: GazeTable, u_mm: float, u_rel: float) -> Statement:
     return Statement(what, _size(u_mm, u_rel) or "none stated: taken as exact", IN_MANIFEST)
 
 
-def _group(kind: str, section: Gaze | Validation) -> list[Statement]:
+def _group(kind: str, section: GazeSection | ValidationSection) -> list[Statement]:
     """Return the statement on what references of one group have in common, if there is one."""
     size = _size(section.u_z_group_mm, section.u_z_group_rel)
     what = f"u(z) that {kind} rows of one group have in common"

@@ -10,7 +10,7 @@ from importlib.resources import files
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from calib.report.blocks import Section
+from calib.report.blocks import Chapter
 from calib.report.context import ReportContext
 from calib.report.sections.adjustment import adjustment
 from calib.report.sections.comparison import comparison
@@ -33,7 +33,7 @@ from calib.report.sections.verdict import verdict
 from calib.results.calibration import Calibration
 from calib.results.wording import printable
 
-SECTIONS: tuple[Callable[[Calibration, ReportContext], Section | None], ...] = (
+SECTIONS: tuple[Callable[[Calibration, ReportContext], Chapter | None], ...] = (
     verdict,
     data,
     detection,

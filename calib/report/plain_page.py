@@ -20,14 +20,14 @@ class Link:
 
 
 @dataclass(frozen=True)
-class State:
+class StateCell:
     """A cell that says whether something is as it should be."""
 
     text: str
     good: bool
 
 
-Cell: TypeAlias = str | Link | State | tuple["str | Link | State", ...]
+Cell: TypeAlias = str | Link | StateCell | tuple["str | Link | StateCell", ...]
 """Several in one cell are separated by commas."""
 
 
@@ -41,7 +41,7 @@ class PlainTable:
 
 
 @dataclass(frozen=True)
-class Drawing:
+class FigureRow:
     """Figures as SVG elements, a row beside each other as far as the page is wide."""
 
     title: str
@@ -50,13 +50,13 @@ class Drawing:
 
 
 @dataclass(frozen=True)
-class Paragraph:
+class Text:
     """Text."""
 
     text: str
 
 
-Block: TypeAlias = PlainTable | Drawing | Paragraph
+Block: TypeAlias = PlainTable | FigureRow | Text
 
 _STYLE = """
 :root { color-scheme: light dark; --line: #d9d9d9; --bad: #a83200; --good: #00664d;
@@ -107,9 +107,9 @@ def plain_page(title: str, blocks: Sequence[Block], *, generator: str) -> str:
 
 def _block(block: Block) -> str:
     match block:
-        case Paragraph(text):
+        case Text(text):
             return f"<p>{escape(text)}</p>"
-        case Drawing(title, rows, caption):
+        case FigureRow(title, rows, caption):
             drawn = "\n".join(f'<div class="drawn">{"".join(row)}</div>' for row in rows)
             said = f"<p>{escape(caption)}</p>\n" if caption else ""
             return f"<h2>{escape(title)}</h2>\n{said}{drawn}"
@@ -135,7 +135,7 @@ def _line(cells: Sequence[Cell], kind: str, columns: int) -> str:
 
 def _kept(cell: Cell) -> str:
     """Return the class of a cell that holds a date, which is not broken at its hyphens."""
-    text = cell.text if isinstance(cell, State) else cell
+    text = cell.text if isinstance(cell, StateCell) else cell
     return ' class="date"' if isinstance(text, str) and _DATED.fullmatch(text) else ""
 
 
@@ -148,7 +148,7 @@ def _cell(cell: Cell) -> str:
             return ", ".join(_cell(each) for each in cell)
         case Link(text, address):
             return f'<a href="{escape(address)}">{escape(text)}</a>'
-        case State(text, good):
+        case StateCell(text, good):
             return f'<span class="{"good" if good else "bad"}">{escape(text)}</span>'
         case str():
             return escape(cell)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from calib.core.arrays import FloatArray
 from calib.core.gate import Gate
-from calib.dataset.manifest import Rig
+from calib.dataset.manifest import RigSection
 from calib.diagnosis.findings import Attempt, Diagnosis
 from calib.fit.compare import Comparison
 from calib.fit.convex import ConvexFit
@@ -158,7 +158,7 @@ class Calibration:
     adjustment: Adjustment | None = None
     not_adjusted: str | None = None
     rows: RowSketch | None = None
-    rig: Rig = field(default_factory=Rig)
+    rig: RigSection = field(default_factory=RigSection)
     disagreements: tuple[str, ...] = ()
 
     @property

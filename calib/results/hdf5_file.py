@@ -20,7 +20,7 @@ from calib.rows.observations import Observations
 
 
 @dataclass(frozen=True)
-class Entry:
+class ArrayEntry:
     """One array of results.h5.
 
     Parameters
@@ -60,7 +60,7 @@ def archive(calibration: Calibration) -> bytes:
     return hdf5_bytes(fill)
 
 
-def entries(calibration: Calibration) -> Iterator[Entry]:
+def entries(calibration: Calibration) -> Iterator[ArrayEntry]:
     """Yield all arrays of a calibration."""
     if calibration.gaze is not None:
         yield from _gaze(calibration.gaze)
@@ -68,14 +68,18 @@ def entries(calibration: Calibration) -> Iterator[Entry]:
         yield from _adjustment(calibration.adjustment)
 
 
-def _gaze(g: GazeResult) -> Iterator[Entry]:
+def _gaze(g: GazeResult) -> Iterator[ArrayEntry]:
     yield from _rows("observations", g.rows)
     if g.linear is not None:
-        yield Entry("fits/base/linear/values", g.linear.values, _units(g.linear.names), "estimate")
-        yield Entry("fits/base/linear/residual", g.linear.residual_mrad, "mrad", "of each row")
+        yield ArrayEntry(
+            "fits/base/linear/values", g.linear.values, _units(g.linear.names), "estimate"
+        )
+        yield ArrayEntry("fits/base/linear/residual", g.linear.residual_mrad, "mrad", "of each row")
     if g.convex is not None:
-        yield Entry("fits/base/convex/values", g.convex.values, _units(g.convex.names), "estimate")
-        yield Entry("fits/base/convex/residual", g.convex.residual_mrad, "mrad", "of each row")
+        yield ArrayEntry(
+            "fits/base/convex/values", g.convex.values, _units(g.convex.names), "estimate"
+        )
+        yield ArrayEntry("fits/base/convex/residual", g.convex.residual_mrad, "mrad", "of each row")
     for name, fit in g.robust.items():
         yield from _robust(f"fits/{name}/robust", fit)
     for name, posterior in g.posterior.items():
@@ -85,62 +89,68 @@ def _gaze(g: GazeResult) -> Iterator[Entry]:
     for score in g.comparison.scores if g.comparison is not None else ():
         where = f"comparison/{score.model}"
         meaning = "expected log predictive density of each row"
-        yield Entry(f"{where}/loo_pointwise", score.pointwise, "1", meaning)
-        yield Entry(f"{where}/pareto_k", score.pareto_k, "1", "Pareto shape of each row's weights")
+        yield ArrayEntry(f"{where}/loo_pointwise", score.pointwise, "1", meaning)
+        yield ArrayEntry(
+            f"{where}/pareto_k", score.pareto_k, "1", "Pareto shape of each row's weights"
+        )
     yield from _depths(g)
 
 
-def _adjustment(a: Adjustment) -> Iterator[Entry]:
+def _adjustment(a: Adjustment) -> Iterator[ArrayEntry]:
     for model in a.models:
         where, units = f"fits/{model.model}/adjustment", _units(model.names)
-        yield Entry(f"{where}/names", model.names, "", "parameters, in the order of the others")
-        yield Entry(f"{where}/values", model.values, units, "estimate")
-        yield Entry(f"{where}/covariance", model.covariance, units, "row by column, products")
+        yield ArrayEntry(
+            f"{where}/names", model.names, "", "parameters, in the order of the others"
+        )
+        yield ArrayEntry(f"{where}/values", model.values, units, "estimate")
+        yield ArrayEntry(f"{where}/covariance", model.covariance, units, "row by column, products")
         meaning = "standard deviation over that without priors"
-        yield Entry(f"{where}/data_share", model.data_share, "1", meaning)
+        yield ArrayEntry(f"{where}/data_share", model.data_share, "1", meaning)
     record = a.complete
     if record.lens_names:
         lens = _lens_units(record.lens_names)
-        yield Entry("adjustment/lens_names", record.lens_names, "", "intrinsics that were adjusted")
+        yield ArrayEntry(
+            "adjustment/lens_names", record.lens_names, "", "intrinsics that were adjusted"
+        )
         meaning = "row by column, products of units"
-        yield Entry("adjustment/lens_covariance", record.lens_covariance, lens, meaning)
+        yield ArrayEntry("adjustment/lens_covariance", record.lens_covariance, lens, meaning)
         meaning = "of the parameters of the complete model, rows, with the intrinsics, columns"
-        yield Entry("adjustment/with_lens", record.with_lens, lens, meaning)
+        yield ArrayEntry("adjustment/with_lens", record.with_lens, lens, meaning)
     pose = ("rad",) * 3 + ("mm",) * 3
-    yield Entry("adjustment/pose_12", record.pose_12, pose, "Rodrigues vector and translation")
-    yield Entry("adjustment/pose_covariance", record.pose_covariance, pose, "row by column")
-    yield Entry("adjustment/images", a.images, "", "names of the pictures")
+    yield ArrayEntry("adjustment/pose_12", record.pose_12, pose, "Rodrigues vector and translation")
+    yield ArrayEntry("adjustment/pose_covariance", record.pose_covariance, pose, "row by column")
+    yield ArrayEntry("adjustment/images", a.images, "", "names of the pictures")
     meaning = "observed minus projected: pictures x corners x coordinates; NaN where left out"
-    yield Entry("adjustment/residuals", a.residuals, "px", meaning)
-    yield Entry("adjustment/readings", a.readings_rad, "rad", "of the encoder")
+    yield ArrayEntry("adjustment/residuals", a.residuals, "px", meaning)
+    yield ArrayEntry("adjustment/readings", a.readings_rad, "rad", "of the encoder")
     meaning = "how much farther C2 stood than each reading says"
-    yield Entry("adjustment/reading_errors", a.reading_errors_rad, "rad", meaning)
+    yield ArrayEntry("adjustment/reading_errors", a.reading_errors_rad, "rad", meaning)
 
 
 def _lens_units(names: Sequence[str]) -> list[str]:
     return ["px" if name[3:] in ("fx", "fy", "cx", "cy") else "1" for name in names]
 
 
-def _rows(where: str, rows: Observations) -> Iterator[Entry]:
-    yield Entry(f"{where}/id", rows.ids, "", "name of each row")
-    yield Entry(f"{where}/group", rows.groups, "", "rows that were left out together")
-    yield Entry(f"{where}/x1c", rows.x1c, "1", "normalised, undistorted coordinate in C1")
-    yield Entry(f"{where}/y1c", rows.y1c, "1", "normalised, undistorted coordinate in C1")
-    yield Entry(f"{where}/alpha2", rows.alpha2_rad, "rad", "encoder reading")
-    yield Entry(f"{where}/gaze_residual", rows.gaze_residual_rad, "rad", "from C2's image")
-    yield Entry(f"{where}/z", rows.z_mm, "mm", "reference depth")
+def _rows(where: str, rows: Observations) -> Iterator[ArrayEntry]:
+    yield ArrayEntry(f"{where}/id", rows.ids, "", "name of each row")
+    yield ArrayEntry(f"{where}/group", rows.groups, "", "rows that were left out together")
+    yield ArrayEntry(f"{where}/x1c", rows.x1c, "1", "normalised, undistorted coordinate in C1")
+    yield ArrayEntry(f"{where}/y1c", rows.y1c, "1", "normalised, undistorted coordinate in C1")
+    yield ArrayEntry(f"{where}/alpha2", rows.alpha2_rad, "rad", "encoder reading")
+    yield ArrayEntry(f"{where}/gaze_residual", rows.gaze_residual_rad, "rad", "from C2's image")
+    yield ArrayEntry(f"{where}/z", rows.z_mm, "mm", "reference depth")
     units = ("1", "1", "rad", "rad", "mm")
     meaning = "standard uncertainty of x1c, y1c, alpha2, gaze residual, z: each row's own part"
-    yield Entry(f"{where}/std", rows.std, units, meaning)
+    yield ArrayEntry(f"{where}/std", rows.std, units, meaning)
     if rows.has_groups:
         meaning = "rows of one number have their reference depth from one measurement"
-        yield Entry(f"{where}/z_group", rows.z_group.astype(float), "1", meaning)
+        yield ArrayEntry(f"{where}/z_group", rows.z_group.astype(float), "1", meaning)
         meaning = "standard uncertainty of that measurement, a part of std of z"
-        yield Entry(f"{where}/u_z_group", rows.u_z_group_mm, "mm", meaning)
+        yield ArrayEntry(f"{where}/u_z_group", rows.u_z_group_mm, "mm", meaning)
     if rows.shared_names:
         meaning = "effect of each shared standard-normal error on x1c, y1c, alpha2, residual, z"
-        yield Entry(f"{where}/shared", rows.shared, units, meaning)
-        yield Entry(f"{where}/shared_source", rows.shared_names, "", "of each shared error")
+        yield ArrayEntry(f"{where}/shared", rows.shared, units, meaning)
+        yield ArrayEntry(f"{where}/shared_source", rows.shared_names, "", "of each shared error")
 
 
 def _units(names: Sequence[str]) -> list[str]:
@@ -148,60 +158,68 @@ def _units(names: Sequence[str]) -> list[str]:
     return [PARAMETERS[INDEX[name]].unit if name in INDEX else "1" for name in names]
 
 
-def _identifiability(where: str, told: Identifiability) -> Iterator[Entry]:
+def _identifiability(where: str, told: Identifiability) -> Iterator[ArrayEntry]:
     values = np.array([c.singular_value for c in told.combinations])
     directions = np.array([c.direction for c in told.combinations])
     units = _units(told.names)
-    yield Entry(f"{where}/names", told.names, "", "parameters, in the order of the other arrays")
-    yield Entry(f"{where}/scale", told.scale, units, "known of any rig beforehand")
+    yield ArrayEntry(
+        f"{where}/names", told.names, "", "parameters, in the order of the other arrays"
+    )
+    yield ArrayEntry(f"{where}/scale", told.scale, units, "known of any rig beforehand")
     meaning = "of the root of the rows' information, parameters in units of scale"
-    yield Entry(f"{where}/singular_values", values, "1", meaning)
-    yield Entry(f"{where}/directions", directions, "1", "singular directions, one a row")
-    yield Entry(f"{where}/correlation", told.correlation, "1", "with sweep and priors")
-    yield Entry(f"{where}/std_rows", told.rows_std, units, "from the rows alone")
-    yield Entry(f"{where}/std_rows_and_sweep", told.sweep_std, units, "with the yaw sweep")
-    yield Entry(f"{where}/std", told.std, units, "with sweep and priors")
+    yield ArrayEntry(f"{where}/singular_values", values, "1", meaning)
+    yield ArrayEntry(f"{where}/directions", directions, "1", "singular directions, one a row")
+    yield ArrayEntry(f"{where}/correlation", told.correlation, "1", "with sweep and priors")
+    yield ArrayEntry(f"{where}/std_rows", told.rows_std, units, "from the rows alone")
+    yield ArrayEntry(f"{where}/std_rows_and_sweep", told.sweep_std, units, "with the yaw sweep")
+    yield ArrayEntry(f"{where}/std", told.std, units, "with sweep and priors")
 
 
-def _robust(where: str, fit: RobustFit) -> Iterator[Entry]:
+def _robust(where: str, fit: RobustFit) -> Iterator[ArrayEntry]:
     units = _units(fit.names)
-    yield Entry(f"{where}/names", fit.names, "", "parameters, in the order of the other arrays")
-    yield Entry(f"{where}/values", fit.values, units, "estimate")
-    yield Entry(f"{where}/covariance", fit.covariance, units, "row by column, product of units")
-    yield Entry(f"{where}/residual", fit.residual_mrad, "mrad", "(num / z) - (x1c + cot a)")
-    yield Entry(
+    yield ArrayEntry(
+        f"{where}/names", fit.names, "", "parameters, in the order of the other arrays"
+    )
+    yield ArrayEntry(f"{where}/values", fit.values, units, "estimate")
+    yield ArrayEntry(
+        f"{where}/covariance", fit.covariance, units, "row by column, product of units"
+    )
+    yield ArrayEntry(f"{where}/residual", fit.residual_mrad, "mrad", "(num / z) - (x1c + cot a)")
+    yield ArrayEntry(
         f"{where}/standardised", fit.standardised, "1", "misclosure over stated uncertainty"
     )
 
 
-def _posterior(where: str, p: Posterior) -> Iterator[Entry]:
+def _posterior(where: str, p: Posterior) -> Iterator[ArrayEntry]:
     units = _units(p.names)
-    yield Entry(f"{where}/names", p.names, "", "sampled quantities, last axis of the draws")
-    yield Entry(f"{where}/draws", p.draws, units, "ensembles x thinned draws x quantities")
-    yield Entry(f"{where}/covariance", p.covariance, units, "row by column, product of units")
-    yield Entry(f"{where}/ess_bulk", p.ess_bulk, "1", "effective draws in the bulk")
-    yield Entry(f"{where}/ess_tail", p.ess_tail, "1", "effective draws in the tails")
-    yield Entry(f"{where}/r_hat", p.r_hat, "1", "across independent ensembles")
-    yield Entry(f"{where}/tau", p.tau, "steps", "autocorrelation time")
+    yield ArrayEntry(f"{where}/names", p.names, "", "sampled quantities, last axis of the draws")
+    yield ArrayEntry(f"{where}/draws", p.draws, units, "ensembles x thinned draws x quantities")
+    yield ArrayEntry(f"{where}/covariance", p.covariance, units, "row by column, product of units")
+    yield ArrayEntry(f"{where}/ess_bulk", p.ess_bulk, "1", "effective draws in the bulk")
+    yield ArrayEntry(f"{where}/ess_tail", p.ess_tail, "1", "effective draws in the tails")
+    yield ArrayEntry(f"{where}/r_hat", p.r_hat, "1", "across independent ensembles")
+    yield ArrayEntry(f"{where}/tau", p.tau, "steps", "autocorrelation time")
 
 
-def _depths(g: GazeResult) -> Iterator[Entry]:
+def _depths(g: GazeResult) -> Iterator[ArrayEntry]:
     tables = []
     if g.depths is not None:
-        yield Entry("depth_uncertainty/z", g.depths.depth_mm, "mm", "true depth of the target")
+        yield ArrayEntry("depth_uncertainty/z", g.depths.depth_mm, "mm", "true depth of the target")
         tables.append(("depth_uncertainty", g.depths.prediction))
         for name, u in g.depths.sources_mm.items():
-            yield Entry(f"depth_uncertainty/sources/{name}", u, "mm", f"part of gum_u by {name}")
+            yield ArrayEntry(
+                f"depth_uncertainty/sources/{name}", u, "mm", f"part of gum_u by {name}"
+            )
     if g.validation is not None:
-        yield Entry("validation/id", g.validation.ids, "", "name of each row")
-        yield Entry("validation/position", g.validation.position_mm, "mm", "x, y, z in C1")
-        yield Entry(
+        yield ArrayEntry("validation/id", g.validation.ids, "", "name of each row")
+        yield ArrayEntry("validation/position", g.validation.position_mm, "mm", "x, y, z in C1")
+        yield ArrayEntry(
             "validation/reference", g.validation.reference_mm, "mm", "first reference depth"
         )
         tables.append(("validation", g.validation.prediction))
     for where, p in tables:
-        yield Entry(f"{where}/measured", p.z_mm, "mm", "depth at the best estimates")
-        yield Entry(f"{where}/u", p.u_mm, "mm", "standard uncertainty, posterior predictive")
-        yield Entry(f"{where}/low95", p.low95_mm, "mm", "95 % interval")
-        yield Entry(f"{where}/high95", p.high95_mm, "mm", "95 % interval")
-        yield Entry(f"{where}/gum_u", p.gum_u_mm, "mm", "by the linear law of propagation")
+        yield ArrayEntry(f"{where}/measured", p.z_mm, "mm", "depth at the best estimates")
+        yield ArrayEntry(f"{where}/u", p.u_mm, "mm", "standard uncertainty, posterior predictive")
+        yield ArrayEntry(f"{where}/low95", p.low95_mm, "mm", "95 % interval")
+        yield ArrayEntry(f"{where}/high95", p.high95_mm, "mm", "95 % interval")
+        yield ArrayEntry(f"{where}/gum_u", p.gum_u_mm, "mm", "by the linear law of propagation")

@@ -27,7 +27,7 @@ from calib.dataset.fields import (
     refuse_coefficients,
 )
 from calib.dataset.folder import decode
-from calib.dataset.manifest import Board
+from calib.dataset.manifest import BoardSection
 from calib.dataset.messages import LISTED_PROBLEMS, shortened, shown, suggestion
 from calib.dataset.section import Section
 from calib.geometry.lens import ProjectionName
@@ -119,7 +119,7 @@ class RigSettings(Section):
     baseline_mm: Number | None = None
     cameras: CamerasSection
     axis: AxisSection
-    board: Board | None = None
+    board: BoardSection | None = None
     virtual: VirtualSettings = Field(default_factory=VirtualSettings)
 
     @property
@@ -239,7 +239,7 @@ def _own(remedy: str) -> str:
 def _known(path: tuple[str, ...]) -> list[str]:
     sections: Mapping[tuple[str, ...], type[BaseModel]] = {
         ("cameras",): CamerasSection,
-        ("board",): Board,
+        ("board",): BoardSection,
     }
     return list(sections.get(path, RigSettings).model_fields)
 

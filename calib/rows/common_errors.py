@@ -26,7 +26,7 @@ FRESH = 1e-9
 
 
 @dataclass(frozen=True)
-class Shared:
+class CommonErrors:
     """What all rows have wrong together: once-estimated intrinsics and stereo extrinsics.
 
     Parameters
@@ -45,7 +45,7 @@ class Shared:
     error_names: tuple[str, ...] = ()
 
     @classmethod
-    def of(cls, names: tuple[str, ...], covariance: FloatArray) -> Shared:
+    def of(cls, names: tuple[str, ...], covariance: FloatArray) -> CommonErrors:
         """Return the shared errors of quantities with a covariance, shape (q, q).
 
         Quantities without uncertainty are left out, directions without any too. The factor is lower

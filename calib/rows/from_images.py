@@ -18,7 +18,7 @@ from calib.images.pairs import single_view_pose
 from calib.images.stereo.reference import StereoReference
 from calib.images.stereo.solve import CameraPair
 from calib.images.stereo.triangulate import position_on_board, shared_names
-from calib.rows.common_errors import Shared
+from calib.rows.common_errors import CommonErrors
 from calib.rows.from_table import U_PIXEL, CameraSet, ImageObservations
 
 LEAST_PX = 0.01
@@ -46,18 +46,18 @@ class CornerNoise:
     warp_mm: tuple[float, float] | None = None
 
 
-def shared_errors(rig: CameraPair, stereo: StereoReference | None) -> Shared:
+def shared_errors(rig: CameraPair, stereo: StereoReference | None) -> CommonErrors:
     """Return what all rows share: C1's and C2's intrinsics and, with stereo, 1T2."""
     if stereo is not None:
         targets = stereo.targets
-        return Shared.of(targets.shared_names, targets.shared_covariance)
+        return CommonErrors.of(targets.shared_names, targets.shared_covariance)
     names = shared_names(rig.cameras)
     covariance = np.zeros((len(names), len(names)))
     edge = 0
     for block in rig.covariances:
         covariance[edge : edge + len(block), edge : edge + len(block)] = block
         edge += len(block)
-    return Shared.of(names, covariance)
+    return CommonErrors.of(names, covariance)
 
 
 def observe_images(
@@ -66,7 +66,7 @@ def observe_images(
     corners_c1: Corners | None,
     corners_c2: Corners | None,
     stereo: StereoReference | None,
-    shared: Shared,
+    shared: CommonErrors,
     noise: CornerNoise,
     cameras: CameraSet,
 ) -> ImageObservations:
@@ -174,7 +174,7 @@ def _add_by_board(
     views: FloatArray,
     cameras: CameraSet,
     noise: CornerNoise,
-    shared: Shared,
+    shared: CommonErrors,
     depths: tuple[FloatArray, FloatArray, FloatArray],
 ) -> None:
     """Fill in the depths of rows without reference by the pose of their board in C1.
@@ -207,7 +207,7 @@ def _add_by_board(
 
 
 def _depths(
-    table: GazeTable, stereo: StereoReference | None, shared: Shared
+    table: GazeTable, stereo: StereoReference | None, shared: CommonErrors
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return reference depths, their own standard uncertainty and shared loadings."""
     n = len(table)

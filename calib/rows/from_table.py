@@ -10,7 +10,7 @@ import numpy as np
 from calib.core.arrays import BoolArray, FloatArray, IntArray
 from calib.dataset.contents import Dataset
 from calib.dataset.depth_origin import ahead_of_c1
-from calib.dataset.manifest import Validation
+from calib.dataset.manifest import ValidationSection
 from calib.dataset.tables import GazeTable
 from calib.geometry.camera import (
     Camera,
@@ -20,7 +20,7 @@ from calib.geometry.camera import (
 )
 from calib.geometry.parameters import INDEX, PARAMETERS, REFERENCE_OFFSET
 from calib.geometry.plane import OBSERVABLE
-from calib.rows.common_errors import Shared
+from calib.rows.common_errors import CommonErrors
 from calib.rows.observations import Observations, depth_groups
 from calib.rows.rayless import refuse_rayless
 
@@ -131,7 +131,7 @@ def validation_settings(dataset: Dataset) -> RowSettings:
     )
 
 
-def _validation_origin(stated: Validation, settings: RowSettings) -> dict[str, float]:
+def _validation_origin(stated: ValidationSection, settings: RowSettings) -> dict[str, float]:
     """Return from where validation depths count: as the calibration rows' unless stated."""
     if stated.origin is None:
         return {"z_ahead_mm": settings.z_ahead_mm}
@@ -153,7 +153,7 @@ class Setup:
 
     settings: RowSettings
     cameras: CameraSet = field(default_factory=CameraSet)
-    shared: Shared = field(default_factory=Shared)
+    shared: CommonErrors = field(default_factory=CommonErrors)
 
 
 @dataclass(frozen=True)
@@ -288,7 +288,7 @@ class _Source:
     table: GazeTable
     settings: RowSettings
     cameras: CameraSet
-    shared: Shared
+    shared: CommonErrors
     seen: ImageObservations
 
     def _zeros(self, *shape: int) -> FloatArray:
@@ -383,7 +383,7 @@ class _Source:
         )
 
 
-def direction_by_common(xy: FloatArray, camera: Camera, shared: Shared) -> FloatArray:
+def direction_by_common(xy: FloatArray, camera: Camera, shared: CommonErrors) -> FloatArray:
     """Return what the shared errors of C1's intrinsics do to directions, shape (n, 2, k).
 
     Parameters

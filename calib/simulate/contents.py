@@ -14,7 +14,7 @@ from calib.dataset.lens_section import camera_section
 from calib.geometry.board import Board
 from calib.geometry.parameters import NAMES
 from calib.simulate.faults import FULL_STEP_COUNTS, size_of
-from calib.simulate.rig import Noise, Rig, c2_pose
+from calib.simulate.rig import Noise, TrueRig, c2_pose
 from calib.simulate.scene import IntrinsicViews, SweepPlan
 from calib.simulate.tables import SimulatedRows
 
@@ -93,20 +93,20 @@ class SimulationOptions:
 
 
 @dataclass(frozen=True)
-class Table:
+class CsvTable:
     """A CSV table: its columns and rows."""
 
     columns: tuple[str, ...]
     rows: tuple[Row, ...]
 
     @classmethod
-    def of(cls, columns: Mapping[str, Sequence[str | float]]) -> Table:
+    def of(cls, columns: Mapping[str, Sequence[str | float]]) -> CsvTable:
         """Return the table with these columns, all of one length."""
         return cls(tuple(columns), tuple(zip(*columns.values(), strict=True)))
 
 
 @dataclass(frozen=True)
-class Shot:
+class RenderedShot:
     """An image to render.
 
     Parameters
@@ -138,16 +138,16 @@ class Contents:
         The images, none for tables.
     """
 
-    rig: Rig
+    rig: TrueRig
     board: Board
     manifest: Section
-    tables: Mapping[str, Table]
+    tables: Mapping[str, CsvTable]
     truth: Mapping[str, Any]
-    shots: tuple[Shot, ...]
+    shots: tuple[RenderedShot, ...]
 
 
 @dataclass(frozen=True)
-class Session:
+class SimulatedSession:
     """One simulated session: what is added to the shared parts of a dataset.
 
     Parameters
@@ -162,17 +162,19 @@ class Session:
         Images.
     """
 
-    rig: Rig
+    rig: TrueRig
     board: Board
     gaze: SimulatedRows
     validation: SimulatedRows
     manifest: Section
-    tables: Mapping[str, Table]
+    tables: Mapping[str, CsvTable]
     truth: Section = field(default_factory=dict)
-    shots: tuple[Shot, ...] = ()
+    shots: tuple[RenderedShot, ...] = ()
 
 
-def finish(options: SimulationOptions, session: Session, rng: np.random.Generator) -> Contents:
+def finish(
+    options: SimulationOptions, session: SimulatedSession, rng: np.random.Generator
+) -> Contents:
     """Return the whole dataset: the session with the head, the known lengths and the truth."""
     manifest = _head(options, session.rig) | session.manifest
     tables = dict(session.tables)
@@ -201,7 +203,7 @@ def degrees(angles: FloatArray) -> list[float]:
     return [degree(angle) for angle in angles.tolist()]
 
 
-def _head(options: SimulationOptions, rig: Rig) -> Section:
+def _head(options: SimulationOptions, rig: TrueRig) -> Section:
     kind = "images" if options.images else "tables"
     return {
         "format": 1,
@@ -217,14 +219,14 @@ def _head(options: SimulationOptions, rig: Rig) -> Section:
     }
 
 
-def _full_step(options: SimulationOptions, rig: Rig) -> Section:
+def _full_step(options: SimulationOptions, rig: TrueRig) -> Section:
     """Return the motor's full step where its error is one of the mistakes."""
     if "microstep" not in options.faults:
         return {}
     return {"full_step_deg": degree(FULL_STEP_COUNTS * rig.resolution_rad)}
 
 
-def _truth(options: SimulationOptions, session: Session) -> Section:
+def _truth(options: SimulationOptions, session: SimulatedSession) -> Section:
     rig = session.rig
     return {
         "format": 1,
@@ -252,7 +254,7 @@ def _faults(options: SimulationOptions) -> Section:
     return {"faults": made} if made else {}
 
 
-def _row_truth(rig: Rig, letter: str, rows: SimulatedRows) -> Iterator[tuple[str, Section]]:
+def _row_truth(rig: TrueRig, letter: str, rows: SimulatedRows) -> Iterator[tuple[str, Section]]:
     gaze = rows.true_gaze
     c2 = c2_pose(rig, gaze.alpha2)
     for i, name in enumerate(ids(letter, len(rows.points_mm))):
@@ -271,13 +273,13 @@ def _row_truth(rig: Rig, letter: str, rows: SimulatedRows) -> Iterator[tuple[str
         )
 
 
-def _lengths(rows: SimulatedRows, rng: np.random.Generator) -> Table:
+def _lengths(rows: SimulatedRows, rng: np.random.Generator) -> CsvTable:
     """Return distances between targets that follow each other, measured as a lab would."""
     points = rows.points_mm[: LENGTHS + 1]
     true = np.linalg.norm(np.diff(points, axis=0), axis=1)
     count = len(true)
     names = ids("v", count + 1)
-    return Table.of(
+    return CsvTable.of(
         {
             "id": ids("l", count),
             "from": names[:count],

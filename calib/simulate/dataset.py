@@ -16,7 +16,7 @@ import numpy as np
 import tomli_w
 
 from calib.core.errors import UsageError
-from calib.simulate.contents import Contents, Shot, SimulationOptions, Table
+from calib.simulate.contents import Contents, CsvTable, RenderedShot, SimulationOptions
 from calib.simulate.pattern import board_pattern
 from calib.simulate.plan import plan_dataset
 from calib.simulate.render import Optics, prepare, render
@@ -80,7 +80,7 @@ def _write_tables(folder: Path, contents: Contents) -> None:
         _write_csv(folder / name, table)
 
 
-def _write_csv(path: Path, table: Table) -> None:
+def _write_csv(path: Path, table: CsvTable) -> None:
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(table.columns)
@@ -110,7 +110,7 @@ def _write_images(
             zip(cameras, pool.map(lambda c: prepare(c, optics), cameras.values()), strict=True)
         )
 
-        def expose(shot: Shot, rng: np.random.Generator) -> None:
+        def expose(shot: RenderedShot, rng: np.random.Generator) -> None:
             path = folder / shot.path
             path.parent.mkdir(parents=True, exist_ok=True)
             _write_png(path, render(imagers[shot.camera], pattern, shot.pose, rng))

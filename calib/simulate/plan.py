@@ -17,9 +17,9 @@ from calib.geometry.parameters import INDEX, MODELS, NAMES
 from calib.geometry.plane import OutOfGazeError
 from calib.simulate.contents import (
     Contents,
-    Session,
+    CsvTable,
+    SimulatedSession,
     SimulationOptions,
-    Table,
     degrees,
     finish,
     ids,
@@ -28,7 +28,7 @@ from calib.simulate.faults import Context, check_faults, spoil
 from calib.simulate.rig import (
     NARROWEST_FIELD_DEG,
     WIDEST_FIELD_DEG,
-    Rig,
+    TrueRig,
     draw_rig,
     draw_wide_camera,
     mirror_rig,
@@ -142,8 +142,8 @@ def _counts(options: SimulationOptions) -> tuple[tuple[int, int, str], ...]:
 
 
 def _draw_table_session(
-    options: SimulationOptions, rig: Rig, board: Board, rng: np.random.Generator
-) -> Session:
+    options: SimulationOptions, rig: TrueRig, board: Board, rng: np.random.Generator
+) -> SimulatedSession:
     """Draw a session that hands over finished coordinates."""
     gazes, checks = rng.spawn(2)
     depths = options.depth_range_mm or rig.depth_range_mm
@@ -183,10 +183,10 @@ def _draw_table_session(
         "gaze.csv": _table(rig, "g", gaze, residual_measured=measured),
         "validation.csv": _table(rig, "v", validation, residual_measured=measured),
     }
-    return Session(rig, board, gaze, validation, manifest, tables)
+    return SimulatedSession(rig, board, gaze, validation, manifest, tables)
 
 
-def _table(rig: Rig, letter: str, rows: SimulatedRows, *, residual_measured: bool) -> Table:
+def _table(rig: TrueRig, letter: str, rows: SimulatedRows, *, residual_measured: bool) -> CsvTable:
     """Return the table of rows given by coordinates."""
     seen = rows.observed
     columns: dict[str, Sequence[str | float]] = {
@@ -199,4 +199,4 @@ def _table(rig: Rig, letter: str, rows: SimulatedRows, *, residual_measured: boo
     if residual_measured:
         rays = np.column_stack([np.tan(seen.gaze_residual_rad), rows.rays_c2[:, 1]])
         columns["u2_px"] = project(rig.c2, rays)[:, 0].tolist()
-    return Table.of(columns | {"z_mm": seen.z_mm.tolist(), "u_z_mm": seen.std[:, -1].tolist()})
+    return CsvTable.of(columns | {"z_mm": seen.z_mm.tolist(), "u_z_mm": seen.std[:, -1].tolist()})

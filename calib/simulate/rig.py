@@ -79,7 +79,7 @@ class Noise:
 
 
 @dataclass(frozen=True)
-class Rig:
+class TrueRig:
     """The truth about a rig.
 
     Parameters
@@ -151,7 +151,7 @@ class AxisInC2:
     foot_mm: FloatArray
 
 
-def c2_pose(rig: Rig, reading: FloatArray) -> FloatArray:
+def c2_pose(rig: TrueRig, reading: FloatArray) -> FloatArray:
     """Return 1T2, the pose of C2 in C1, shape (..., 4, 4), mm.
 
     Parameters
@@ -176,7 +176,7 @@ def c2_pose(rig: Rig, reading: FloatArray) -> FloatArray:
     return pose.reshape(*np.shape(reading), 4, 4)
 
 
-def yaw_axis_in_c2(rig: Rig) -> AxisInC2:
+def yaw_axis_in_c2(rig: TrueRig) -> AxisInC2:
     """Return the yaw axis in C2's frame, what a yaw sweep of images measures."""
     pose = c2_pose(rig, np.array(np.pi / 2))
     direction = pose[:3, :3].T @ frame(rig.theta).rotation[:, 1]
@@ -196,7 +196,7 @@ def draw_rig(
     fixed: Mapping[str, float] | None = None,
     image_size: tuple[int, int] = (1280, 960),
     noise: Noise | None = None,
-) -> Rig:
+) -> TrueRig:
     """Draw a plausible rig.
 
     Free parameters of the model which have a default prior are drawn from it, so that rigs are
@@ -230,7 +230,7 @@ def draw_rig(
     c1, c2 = (draw_camera(rng, image_size=image_size) for _ in range(2))
     resolution = float(np.deg2rad(rng.choice(RESOLUTIONS_DEG)))
     drawn_parameters[STANDOFF] = float(rng.uniform(*STANDOFF_RANGE_MM))
-    return Rig(
+    return TrueRig(
         model=model,
         theta=vector(drawn_parameters | dict(fixed or {})),
         c1=c1,
@@ -243,7 +243,7 @@ def draw_rig(
     )
 
 
-def mirror_rig(rig: Rig) -> Rig:
+def mirror_rig(rig: TrueRig) -> TrueRig:
     """Return the rig as a mirror shows it: C2 on the other side of C1, depths as they were."""
     low, high = rig.yaw_range_rad
     return replace(

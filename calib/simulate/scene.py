@@ -18,7 +18,7 @@ from calib.core.errors import UsageError
 from calib.geometry.board import Board
 from calib.geometry.camera import Camera, normalise, project, radius_limit
 from calib.geometry.plane import gaze_at
-from calib.simulate.rig import Rig, c2_pose
+from calib.simulate.rig import TrueRig, c2_pose
 
 WIDE_USED = 0.7
 """Share of a wide lens's picture in which targets stand: C2 does not turn to the rest."""
@@ -111,7 +111,7 @@ class Placement:
     readings: FloatArray
 
 
-def fitting_board(rig: Rig, *, near_mm: float, columns: int = 9, rows: int = 7) -> Board:
+def fitting_board(rig: TrueRig, *, near_mm: float, columns: int = 9, rows: int = 7) -> Board:
     """Return a chessboard that fills a good part of C1's image at the nearest depth, mm."""
     # Of a wide C1 the board must still fit into C2's picture.
     camera = rig.c1 if rig.c1.projection == "perspective" else rig.c2
@@ -270,7 +270,7 @@ def _best_spread(camera: Camera, board: Board, candidates: FloatArray, *, count:
     return candidates[chosen]
 
 
-def held_reading(rig: Rig, depth_range_mm: tuple[float, float]) -> float:
+def held_reading(rig: TrueRig, depth_range_mm: tuple[float, float]) -> float:
     """Return the reading, a whole count, rad, at which C2 is held for the stereo reference.
 
     C2 then looks at the middle of the working depths (harmonic mean) before the rig's middle.
@@ -280,14 +280,14 @@ def held_reading(rig: Rig, depth_range_mm: tuple[float, float]) -> float:
     return float(to_counts(rig, gaze_at(rig.theta, middle).alpha2)[0])
 
 
-def to_counts(rig: Rig, reading: FloatArray) -> FloatArray:
+def to_counts(rig: TrueRig, reading: FloatArray) -> FloatArray:
     """Return readings rounded to whole counts, rad."""
     rounded: FloatArray = np.rint(reading / rig.resolution_rad) * rig.resolution_rad
     return rounded
 
 
 def draw_gaze_poses(
-    rig: Rig,
+    rig: TrueRig,
     board: Board,
     rng: np.random.Generator,
     *,
@@ -313,7 +313,7 @@ def draw_gaze_poses(
 
 
 def _gaze_pose(
-    rig: Rig,
+    rig: TrueRig,
     board: Board,
     rng: np.random.Generator,
     *,
@@ -361,7 +361,7 @@ def _is_legible(camera: Camera, board: Board, pose: FloatArray) -> bool:
 
 
 def draw_sweep(
-    rig: Rig, board: Board, rng: np.random.Generator, plan: SweepPlan
+    rig: TrueRig, board: Board, rng: np.random.Generator, plan: SweepPlan
 ) -> tuple[Placement, ...]:
     """Draw the placements of a yaw sweep.
 
@@ -374,7 +374,7 @@ def draw_sweep(
 
 
 def _placement(
-    rig: Rig, board: Board, rng: np.random.Generator, plan: SweepPlan, *, middle: float
+    rig: TrueRig, board: Board, rng: np.random.Generator, plan: SweepPlan, *, middle: float
 ) -> Placement:
     span = board.square_mm * (board.columns + 1)
     distance = float(rig.c2.matrix[0, 0]) * span / (SWEEP_FILL * rig.c2.image_size[0])
@@ -391,7 +391,7 @@ def _placement(
     return Placement(pose, to_counts(rig, np.linspace(back, forth, plan.images)))
 
 
-def _seen_until(rig: Rig, board: Board, pose: FloatArray, *, readings: FloatArray) -> float:
+def _seen_until(rig: TrueRig, board: Board, pose: FloatArray, *, readings: FloatArray) -> float:
     """Return the last reading, rad, up to which C2 sees the whole board all the way."""
     seen = whole_board_seen(rig.c2, board, invert(c2_pose(rig, readings)) @ pose)
     if not seen[0]:

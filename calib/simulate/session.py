@@ -13,16 +13,16 @@ from calib.dataset.board_section import section_of
 from calib.geometry.board import Board
 from calib.simulate.contents import (
     U_LENGTH_MM,
+    CsvTable,
+    RenderedShot,
     Section,
-    Session,
-    Shot,
+    SimulatedSession,
     SimulationOptions,
-    Table,
     degree,
     degrees,
     ids,
 )
-from calib.simulate.rig import Noise, Rig, c2_pose, yaw_axis_in_c2
+from calib.simulate.rig import Noise, TrueRig, c2_pose, yaw_axis_in_c2
 from calib.simulate.scene import (
     Placement,
     draw_gaze_poses,
@@ -39,8 +39,8 @@ VALIDATION_REACH = 1.2
 
 
 def draw_image_session(
-    options: SimulationOptions, rig: Rig, board: Board, rng: np.random.Generator
-) -> Session:
+    options: SimulationOptions, rig: TrueRig, board: Board, rng: np.random.Generator
+) -> SimulatedSession:
     """Draw where the boards stand, what C2 reads and every image of a session.
 
     C1 and C2 each see the board for their intrinsics. Each calibration row is one board at rest:
@@ -74,7 +74,7 @@ def draw_image_session(
         *_row_shots("validation", "v", check_poses, c2_pose(rig, validation.true_gaze.alpha2)),
         *_sweep_shots(rig, placements, swept),
     )
-    return Session(
+    return SimulatedSession(
         rig=rig,
         board=board,
         gaze=gaze,
@@ -87,7 +87,7 @@ def draw_image_session(
 
 
 def _gazed(
-    rig: Rig,
+    rig: TrueRig,
     board: Board,
     rng: np.random.Generator,
     *,
@@ -100,27 +100,29 @@ def _gazed(
     return poses, observe(rig, rng, target_in_c1(board, poses))
 
 
-def _seen_by_images(rig: Rig) -> Rig:
+def _seen_by_images(rig: TrueRig) -> TrueRig:
     """Return the rig with the errors left out that rendered images bring along by themselves."""
     noise = Noise(pixel_px=0.0, encoder_rad=rig.noise.encoder_rad, z_mm=U_LENGTH_MM, z_rel=0.0)
     return replace(rig, noise=noise)
 
 
-def _standing(rig: Rig, rng: np.random.Generator, readings: FloatArray) -> FloatArray:
+def _standing(rig: TrueRig, rng: np.random.Generator, readings: FloatArray) -> FloatArray:
     """Return where C2 truly stands, as a reading, rad, at each count."""
     return readings + rig.noise.encoder_rad * rng.standard_normal(len(readings))
 
 
 def _intrinsic_shots(
-    options: SimulationOptions, rig: Rig, board: Board, rng: np.random.Generator
-) -> Iterator[Shot]:
+    options: SimulationOptions, rig: TrueRig, board: Board, rng: np.random.Generator
+) -> Iterator[RenderedShot]:
     for name, camera in (("c1", rig.c1), ("c2", rig.c2)):
         poses = draw_intrinsic_views(camera, board, rng, options.views)
         for i, pose in enumerate(poses):
-            yield Shot(f"intrinsics/{name}/{i:02d}.png", name, pose)
+            yield RenderedShot(f"intrinsics/{name}/{i:02d}.png", name, pose)
 
 
-def _row_shots(folder: str, letter: str, poses: FloatArray, standing: FloatArray) -> Iterator[Shot]:
+def _row_shots(
+    folder: str, letter: str, poses: FloatArray, standing: FloatArray
+) -> Iterator[RenderedShot]:
     """Return both cameras' images of boards.
 
     Parameters
@@ -133,25 +135,25 @@ def _row_shots(folder: str, letter: str, poses: FloatArray, standing: FloatArray
     names = ids(letter, len(poses))
     seen = invert(standing) @ poses
     for name, in_c1, in_c2 in zip(names, poses, seen, strict=True):
-        yield Shot(f"{folder}/c1/{name}.png", "c1", in_c1)
-        yield Shot(f"{folder}/c2/{name}.png", "c2", in_c2)
+        yield RenderedShot(f"{folder}/c1/{name}.png", "c1", in_c1)
+        yield RenderedShot(f"{folder}/c2/{name}.png", "c2", in_c2)
 
 
 def _sweep_shots(
-    rig: Rig, placements: tuple[Placement, ...], swept: list[FloatArray]
-) -> Iterator[Shot]:
+    rig: TrueRig, placements: tuple[Placement, ...], swept: list[FloatArray]
+) -> Iterator[RenderedShot]:
     for k, (placement, stands) in enumerate(zip(placements, swept, strict=True)):
         for i, pose in enumerate(invert(c2_pose(rig, stands)) @ placement.pose):
-            yield Shot(f"sweep/{k}-{i:02d}.png", "c2", pose)
+            yield RenderedShot(f"sweep/{k}-{i:02d}.png", "c2", pose)
 
 
 def _tables(
     gaze: SimulatedRows, validation: SimulatedRows, placements: tuple[Placement, ...]
-) -> dict[str, Table]:
+) -> dict[str, CsvTable]:
     pairs, ruler = ids("g", len(gaze.points_mm)), validation.observed
     tables = {
-        "gaze.csv": Table.of(_image_columns("gaze", gaze) | {"stereo": pairs}),
-        "validation.csv": Table.of(
+        "gaze.csv": CsvTable.of(_image_columns("gaze", gaze) | {"stereo": pairs}),
+        "validation.csv": CsvTable.of(
             _image_columns("validation", validation)
             | {"z_mm": ruler.z_mm.tolist(), "u_z_mm": ruler.std[:, -1].tolist()}
         ),
@@ -172,16 +174,16 @@ def _image_columns(folder: str, rows: SimulatedRows) -> dict[str, Sequence[str |
     }
 
 
-def _sweep_table(placements: tuple[Placement, ...]) -> Table:
+def _sweep_table(placements: tuple[Placement, ...]) -> CsvTable:
     rows = tuple(
         (f"s{k}-{i:02d}", f"p{k}", f"sweep/{k}-{i:02d}.png", reading)
         for k, placement in enumerate(placements)
         for i, reading in enumerate(degrees(placement.readings))
     )
-    return Table(("id", "placement", "image_c2", "alpha2_deg"), rows)
+    return CsvTable(("id", "placement", "image_c2", "alpha2_deg"), rows)
 
 
-def _sections(rig: Rig, board: Board, *, held: float, swept: bool) -> Section:
+def _sections(rig: TrueRig, board: Board, *, held: float, swept: bool) -> Section:
     """Return the sections of the manifest that images need."""
     sections: Section = {
         "board": section_of(board),
@@ -203,7 +205,7 @@ def _sections(rig: Rig, board: Board, *, held: float, swept: bool) -> Section:
 
 
 def _truth(
-    rig: Rig, shots: tuple[Shot, ...], *, stands: float, swept: list[FloatArray]
+    rig: TrueRig, shots: tuple[RenderedShot, ...], *, stands: float, swept: list[FloatArray]
 ) -> dict[str, Any]:
     axis = yaw_axis_in_c2(rig)
     return {

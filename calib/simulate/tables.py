@@ -18,7 +18,7 @@ from calib.geometry.camera import Camera
 from calib.geometry.misclosure import misclosure
 from calib.geometry.plane import OBSERVABLE, Gaze, OutOfGazeError, gaze_at
 from calib.rows.observations import Observations
-from calib.simulate.rig import Rig, c2_pose
+from calib.simulate.rig import TrueRig, c2_pose
 
 FIELD_USED = 0.95
 """Share of the field of view that targets fall into; a target at the very edge is not measured."""
@@ -66,7 +66,7 @@ class SimulatedRows:
 
 
 def simulate_rows(
-    rig: Rig,
+    rig: TrueRig,
     rng: np.random.Generator,
     *,
     count: int,
@@ -82,7 +82,7 @@ def simulate_rows(
 
 
 def draw_targets(
-    rig: Rig, rng: np.random.Generator, *, count: int, depth_range_mm: tuple[float, float]
+    rig: TrueRig, rng: np.random.Generator, *, count: int, depth_range_mm: tuple[float, float]
 ) -> FloatArray:
     """Draw targets, frame C1, mm, shape (count, 3), that the rig can gaze at.
 
@@ -121,7 +121,7 @@ def no_rig(error: OutOfGazeError) -> UsageError:
     )
 
 
-def within_reach(rig: Rig, points: FloatArray) -> BoolArray:
+def within_reach(rig: TrueRig, points: FloatArray) -> BoolArray:
     """Return which points, frame C1, mm, shape (n, 3), C2 can be turned to and then sees.
 
     Raises
@@ -140,7 +140,7 @@ def within_reach(rig: Rig, points: FloatArray) -> BoolArray:
     return reachable
 
 
-def rays_in_c2(rig: Rig, reading: FloatArray, points: FloatArray) -> FloatArray:
+def rays_in_c2(rig: TrueRig, reading: FloatArray, points: FloatArray) -> FloatArray:
     """Return normalised coordinates in C2, shape (n, 2), of a point seen at each reading."""
     pose = c2_pose(rig, reading)
     seen = np.einsum("nji,nj->ni", pose[:, :3, :3], points - pose[:, :3, 3])
@@ -159,7 +159,7 @@ def _field(camera: Camera) -> tuple[FloatArray, FloatArray]:
 
 
 def observe(
-    rig: Rig,
+    rig: TrueRig,
     rng: np.random.Generator,
     points: FloatArray,
     *,
@@ -205,7 +205,7 @@ def observe(
     )
 
 
-def _seen_from(rig: Rig, gaze: Gaze, z_mm: FloatArray) -> Gaze:
+def _seen_from(rig: TrueRig, gaze: Gaze, z_mm: FloatArray) -> Gaze:
     """Return gazes with the residuals, at C2's centre, with which the model gives depths `z_mm`.
 
     By Newton's method: an angle of some degrees at most, nearly linear in the misclosure.
@@ -217,7 +217,7 @@ def _seen_from(rig: Rig, gaze: Gaze, z_mm: FloatArray) -> Gaze:
     return gaze
 
 
-def row_std(rig: Rig, z_mm: FloatArray, *, residual_measured: bool) -> FloatArray:
+def row_std(rig: TrueRig, z_mm: FloatArray, *, residual_measured: bool) -> FloatArray:
     """Return the standard uncertainties of rows at depths `z_mm`, shape (n, 5) as `OBSERVABLE`.
 
     The reading's is that of a uniform error of one count, eq. step / sqrt(12) (GUM 4.3.7), unless
@@ -235,7 +235,7 @@ def row_std(rig: Rig, z_mm: FloatArray, *, residual_measured: bool) -> FloatArra
     return std
 
 
-def _shared_loadings(rig: Rig, points: FloatArray) -> tuple[FloatArray, tuple[str, ...]]:
+def _shared_loadings(rig: TrueRig, points: FloatArray) -> tuple[FloatArray, tuple[str, ...]]:
     """Return loadings, shape (n, 5, k), and names of the errors common to all rows."""
     noise = rig.noise
     x, y, z = points[:, 0] / points[:, 2], points[:, 1] / points[:, 2], points[:, 2]
@@ -256,7 +256,9 @@ def _shared_loadings(rig: Rig, points: FloatArray) -> tuple[FloatArray, tuple[st
     return shared, present
 
 
-def _spoil(rig: Rig, rng: np.random.Generator, observed: FloatArray, *, share: float) -> BoolArray:
+def _spoil(
+    rig: TrueRig, rng: np.random.Generator, observed: FloatArray, *, share: float
+) -> BoolArray:
     """Put gross errors into rows of `observed`, shape (n, 5), in place; return which."""
     count = len(observed)
     # Drawn last and whatever the share is: a seed's rows differ in their outliers only.

@@ -15,10 +15,10 @@ from calib.fit.robust import fit_model
 from calib.geometry.parameters import MODELS
 from calib.geometry.plane import OBSERVABLE
 from calib.plan.advise import advise, regular
-from calib.plan.design import Knowledge, Noise, depth_vectors, relative_variance
+from calib.plan.design import Knowledge, RowNoise, depth_vectors, relative_variance
 from calib.plan.field import Field, field_of
 from calib.rows.observations import Observations
-from calib.simulate.rig import Rig, draw_rig
+from calib.simulate.rig import TrueRig, draw_rig
 from calib.simulate.tables import draw_targets, observe
 from calib.study.conditions import ADVICE
 
@@ -72,7 +72,7 @@ def _compared(seeds: SeedSequence) -> Record:
     advice = advise(
         knowledge,
         field,
-        Noise(np.median(rows.std[:, : OBSERVABLE.z], axis=0), rig.noise.z_mm, rig.noise.z_rel),
+        RowNoise(np.median(rows.std[:, : OBSERVABLE.z], axis=0), rig.noise.z_mm, rig.noise.z_rel),
         np.random.default_rng(for_advice),
         asked_mm=np.array([depth]),
         between_mm=between,
@@ -92,7 +92,7 @@ def _rng(seed: SeedSequence) -> np.random.Generator:
 
 
 def _left(
-    rig: Rig, field: Field, points: FloatArray, depth: float, rng: np.random.Generator
+    rig: TrueRig, field: Field, points: FloatArray, depth: float, rng: np.random.Generator
 ) -> float:
     """Return the relative standard uncertainty of a depth after calibrating with `points`."""
     rows: Observations = observe(rig, rng, points).observed

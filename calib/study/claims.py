@@ -9,7 +9,7 @@ import numpy as np
 
 from calib.core.words import counted
 from calib.study.conditions import ADVICE, CONDITIONS, GROUPS, MISTAKES
-from calib.study.scores import RASH, Score
+from calib.study.scores import RASH, StudyScore
 
 INFINITY = float("inf")
 
@@ -78,7 +78,7 @@ class Verdict:
     held: bool
     broken: bool
     decided_by: int | None
-    worst: Score
+    worst: StudyScore
     low: float | None
     high: float | None
 
@@ -131,12 +131,12 @@ CLAIMS: tuple[Claim, ...] = (
 # fmt: on
 
 
-def judge(scores: Sequence[Score]) -> tuple[Verdict, ...]:
+def judge(scores: Sequence[StudyScore]) -> tuple[Verdict, ...]:
     """Return the verdicts on all claims of which there are scores."""
     return tuple(v for v in (_verdict(claim, scores) for claim in CLAIMS) if v is not None)
 
 
-def _verdict(claim: Claim, scores: Sequence[Score]) -> Verdict | None:
+def _verdict(claim: Claim, scores: Sequence[StudyScore]) -> Verdict | None:
     meant = [s for s in scores if _means(claim, s)]
     if not meant:
         return None
@@ -152,7 +152,7 @@ def _verdict(claim: Claim, scores: Sequence[Score]) -> Verdict | None:
     return Verdict(claim.name, held, broken and not held, more or None, worst, low, high)
 
 
-def _needed(claim: Claim, score: Score) -> int:
+def _needed(claim: Claim, score: StudyScore) -> int:
     """Return of how many rigs this score, as it is, would decide; 0 if none would."""
     beyond, error = _beyond(claim, score), score.std_error or 0.0
     if beyond == 0:
@@ -161,12 +161,12 @@ def _needed(claim: Claim, score: Score) -> int:
     return max(LEAST_RIGS, int(np.ceil(score.rigs * (errors * error / beyond) ** 2)))
 
 
-def _beyond(claim: Claim, score: Score) -> float:
+def _beyond(claim: Claim, score: StudyScore) -> float:
     """Return by how much a score lies beyond the nearer limit; negative within."""
     return max(claim.low - score.value, score.value - claim.high)
 
 
-def _means(claim: Claim, score: Score) -> bool:
+def _means(claim: Claim, score: StudyScore) -> bool:
     return (
         score.condition in claim.conditions
         and score.statistic == claim.statistic

@@ -12,7 +12,7 @@ from numpy.random import SeedSequence
 from calib.core.arrays import FloatArray
 from calib.geometry.plane import OBSERVABLE
 from calib.instrument.calibrated import CalibratedInstrument, tabulate_depths
-from calib.study.rigs import Bench
+from calib.study.rigs import StudiedRig
 from calib.uncertainty.mixture import mix_depths
 from calib.uncertainty.predictive import depth_draws, linear_positions
 
@@ -50,7 +50,10 @@ class ModelDepths:
 
 
 def model_depths(
-    calibrated: CalibratedInstrument, bench: Bench, for_depths: SeedSequence, table: SeedSequence
+    calibrated: CalibratedInstrument,
+    bench: StudiedRig,
+    for_depths: SeedSequence,
+    table: SeedSequence,
 ) -> ModelDepths:
     """Return what an instrument says of the test readings of a bench."""
     low, high = calibrated.calibrated_mm
@@ -73,7 +76,9 @@ def model_depths(
     return ModelDepths(tabulated.factor95, calibrated.noise_factor, z, u, below)
 
 
-def depth_record(weights: Sequence[float], models: Sequence[ModelDepths], bench: Bench) -> Record:
+def depth_record(
+    weights: Sequence[float], models: Sequence[ModelDepths], bench: StudiedRig
+) -> Record:
     """Return, by part: relative errors, uncertainties, and where the truth stands.
 
     Parameters

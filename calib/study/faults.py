@@ -15,7 +15,7 @@ from calib.diagnosis.bases import most_evident
 from calib.diagnosis.engine import Tried
 from calib.diagnosis.independent import diagnose_references
 from calib.diagnosis.second import Task
-from calib.diagnosis.session import RowHistory, Session
+from calib.diagnosis.session import HistoryArrays, RowHistory
 from calib.fit.noise import own_sigma
 from calib.fit.priors import Priors
 from calib.fit.robust import RobustFit, fit_model
@@ -27,7 +27,7 @@ from calib.rows.from_table import ValidationRows
 from calib.rows.observations import Observations
 from calib.simulate.faults import FAULTS, FULL_STEP_COUNTS, Context, spoil
 from calib.study.conditions import CONDITIONS, MISTAKES
-from calib.study.rigs import INSIDE, Bench, set_up
+from calib.study.rigs import INSIDE, StudiedRig, set_up
 from calib.study.scores import HARM
 
 ROW_COUNTS = (14, 24, 60)
@@ -132,7 +132,7 @@ def _pairs(rows: int, seed: int, number: int) -> Iterator[Record]:
         yield _pair(bench, clean, rng)
 
 
-def _mistake(fault: str, bench: Bench, clean: RobustFit, rng: Generator) -> Record:
+def _mistake(fault: str, bench: StudiedRig, clean: RobustFit, rng: Generator) -> Record:
     """Return what comes of one mistake.
 
     Parameters
@@ -163,7 +163,7 @@ def _mistake(fault: str, bench: Bench, clean: RobustFit, rng: Generator) -> Reco
 
 
 def _with_depths(
-    task: Task, tried: Tried, bench: Bench, faults: Mapping[str, float], rng: Generator
+    task: Task, tried: Tried, bench: StudiedRig, faults: Mapping[str, float], rng: Generator
 ) -> list[str]:
     """Return the names given once there are some validation depths, two of either kind at most.
 
@@ -192,7 +192,7 @@ def _with_depths(
     return by_rows[:2] + others[:2]
 
 
-def _pair(bench: Bench, clean: RobustFit, rng: Generator) -> Record:
+def _pair(bench: StudiedRig, clean: RobustFit, rng: Generator) -> Record:
     """Return what comes of two different mistakes at once."""
     some = [fault for fault in FAULTS if fault not in (*NOT_IN_ROWS, REFERENCE)]
     pair = [str(name) for name in rng.choice(some, 2, replace=False)]
@@ -218,13 +218,13 @@ def _named(found: Tried | None) -> list[str]:
     return [] if found is None else list(found.named)
 
 
-def _fitted(rows: Observations, priors: Priors, bench: Bench) -> RobustFit:
+def _fitted(rows: Observations, priors: Priors, bench: StudiedRig) -> RobustFit:
     """Return the fit of the model with the greatest evidence.
 
     The chain selects by left-out density, which takes a sample of each model's posterior.
     """
     usual = fit_model(rows, priors, model=MODEL)
-    session = Session.of(rows, _history(bench), is_left=False)
+    session = HistoryArrays.of(rows, _history(bench), is_left=False)
     model = most_evident(rows, session, priors, usual)
     return usual if model == MODEL else fit_model(rows, priors, model=model)
 
@@ -237,7 +237,7 @@ def _silent(priors: Priors) -> Priors:
 
 def spoiled(
     fault: str,
-    bench: Bench,
+    bench: StudiedRig,
     clean: RobustFit,
     rng: Generator,
     rows: Observations | None = None,
@@ -274,7 +274,7 @@ def size_of(wrong: Observations, rows: Observations, theta: FloatArray) -> float
 
 
 def _tried(
-    rows: Observations, priors: Priors, fit: RobustFit, bench: Bench
+    rows: Observations, priors: Priors, fit: RobustFit, bench: StudiedRig
 ) -> tuple[Tried | None, Tried | None]:
     """Return what was tried, and what was beside the first cause that is named."""
     task = Task(rows, priors, fit, _history(bench))
@@ -282,7 +282,7 @@ def _tried(
     return (None, None) if found is None else task.with_second(found)
 
 
-def _history(bench: Bench) -> RowHistory:
+def _history(bench: StudiedRig) -> RowHistory:
     resolution = bench.rig.resolution_rad
     return RowHistory({}, {}, resolution, FULL_STEP_COUNTS * resolution)
 

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 
 from calib.geometry.parameters import INDEX, PARAMETERS
 from calib.study.conditions import GROUPS
-from calib.study.scores import LEVELS, Score
+from calib.study.scores import LEVELS, StudyScore
 
 INK, MUTED, BLUE, RED, GREEN = "#1b1b1b", "#6b6b6b", "#0072B2", "#D55E00", "#009E73"
 WIDTH_INCH, ROW_INCH = 7.0, 0.24
@@ -56,13 +56,13 @@ def _legend(figure: Figure, axes: Axes) -> None:
     figure.legend(handles, labels, loc="outside upper center", ncols=min(len(labels), 4))
 
 
-def _rows(scores: Sequence[Score]) -> list[str]:
+def _rows(scores: Sequence[StudyScore]) -> list[str]:
     """Return the conditions of scores, in the order of the table."""
     return list(dict.fromkeys(score.condition for score in scores))
 
 
 def _points(
-    axes: Axes, scores: Sequence[Score], rows: Sequence[str], *, colour: str, shift: float
+    axes: Axes, scores: Sequence[StudyScore], rows: Sequence[str], *, colour: str, shift: float
 ) -> None:
     """Draw one point with its 95 % error bar for each score, on its condition's line."""
     place = [rows.index(s.condition) + shift for s in scores]
@@ -85,7 +85,7 @@ def _figure(rows: int, columns: int = 1) -> tuple[Figure, list[Axes]]:
     return figure, list(grid[0])
 
 
-def coverage(scores: Sequence[Score], *, estimator: str = "selected") -> Figure | None:
+def coverage(scores: Sequence[StudyScore], *, estimator: str = "selected") -> Figure | None:
     """Return how often 50, 90 and 95 % depth intervals hold the truth, inside and beyond."""
     depth = [s for s in scores if s.estimator == estimator and s.statistic.startswith("coverage")]
     if not depth:
@@ -109,7 +109,7 @@ def coverage(scores: Sequence[Score], *, estimator: str = "selected") -> Figure 
 PARTS = {"inside": "calibrated depths", "beyond": "depths beyond those calibrated"}
 
 
-def pulls(scores: Sequence[Score]) -> Figure | None:
+def pulls(scores: Sequence[StudyScore]) -> Figure | None:
     """Return the rms of identified parameters' pulls."""
     label = (
         "rms of (estimate − truth) / u, parameters identified by rows (line: 1, as it should be)"
@@ -117,7 +117,9 @@ def pulls(scores: Sequence[Score]) -> Figure | None:
     return _spread(scores, "pull_rms", label, 1.0)
 
 
-def _spread(scores: Sequence[Score], statistic: str, label: str, ideal: float) -> Figure | None:
+def _spread(
+    scores: Sequence[StudyScore], statistic: str, label: str, ideal: float
+) -> Figure | None:
     wanted = [s for s in scores if s.statistic == statistic and s.estimator == "posterior"]
     if not wanted:
         return None
@@ -134,7 +136,7 @@ def _spread(scores: Sequence[Score], statistic: str, label: str, ideal: float) -
     return figure
 
 
-def efficiency(scores: Sequence[Score]) -> Figure | None:
+def efficiency(scores: Sequence[StudyScore]) -> Figure | None:
     """Return Cramer-Rao bound over mean square error of L_b, by estimator, on clean rows."""
     wanted = [
         s
@@ -195,7 +197,7 @@ def ranks(histograms: Mapping[str, Mapping[str, np.ndarray]]) -> Figure | None:
     return figure
 
 
-FIGURES: Mapping[str, Callable[[Sequence[Score]], Figure | None]] = MappingProxyType(
+FIGURES: Mapping[str, Callable[[Sequence[StudyScore]], Figure | None]] = MappingProxyType(
     {
         "coverage": coverage,
         "coverage-averaged": partial(coverage, estimator="averaged"),

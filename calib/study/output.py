@@ -16,7 +16,7 @@ from calib.core.version import __version__
 from calib.study.claims import Verdict
 from calib.study.conditions import GROUPS
 from calib.study.figures import FIGURES, ranks, styled
-from calib.study.scores import NOISE, Score
+from calib.study.scores import NOISE, StudyScore
 
 Record = dict[str, Any]
 
@@ -34,7 +34,7 @@ def study_names() -> tuple[str, ...]:
 
 def study_files(
     records: Sequence[Record],
-    scores: Sequence[Score],
+    scores: Sequence[StudyScore],
     verdicts: Sequence[Verdict],
     *,
     settings: Mapping[str, Any],
@@ -67,11 +67,11 @@ def study_files(
     }
 
 
-def table(scores: Sequence[Score]) -> str:
+def table(scores: Sequence[StudyScore]) -> str:
     """Return the scores as CSV, one line each."""
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
-    writer.writerow([field.name for field in fields(Score)])
+    writer.writerow([field.name for field in fields(StudyScore)])
     for score in scores:
         writer.writerow([_cell(value) for value in asdict(score).values()])
     return buffer.getvalue()

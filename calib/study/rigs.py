@@ -12,7 +12,7 @@ from calib.fit.priors import NOISE_SCALE, NOISE_SCALE_PRIOR, Priors
 from calib.geometry.parameters import PARAMETERS, REFERENCE_OFFSET
 from calib.rows.from_table import RowSettings, Setup
 from calib.rows.observations import Observations
-from calib.simulate.rig import RESOLUTIONS_DEG, Noise, Rig, draw_rig
+from calib.simulate.rig import RESOLUTIONS_DEG, Noise, TrueRig, draw_rig
 from calib.simulate.tables import draw_targets, observe, row_std
 from calib.study.conditions import Condition
 
@@ -35,7 +35,7 @@ of gaze."""
 
 
 @dataclass(frozen=True)
-class Bench:
+class StudiedRig:
     """A rig, what is stated of it, its calibration rows and the depths it is tested on.
 
     Parameters
@@ -58,7 +58,7 @@ class Bench:
         Of the test targets by part.
     """
 
-    rig: Rig
+    rig: TrueRig
     noise_scale: float
     priors: Priors
     setup: Setup
@@ -69,7 +69,7 @@ class Bench:
     true_depths_mm: dict[str, FloatArray]
 
 
-def set_up(condition: Condition, *, seed: int, number: int) -> Bench:
+def set_up(condition: Condition, *, seed: int, number: int) -> StudiedRig:
     """Return the bench of rig `number`.
 
     The same seed and number give the same draws under every condition, so that conditions differ
@@ -101,7 +101,7 @@ def set_up(condition: Condition, *, seed: int, number: int) -> Bench:
         x1c=gaze.x1c[own], y1c=gaze.y1c[own], alpha2_rad=gaze.alpha2[own],
         gaze_residual_rad=gaze.residual[own], z_mm=points[own, 2], std=true_std,
     )  # fmt: skip
-    return Bench(
+    return StudiedRig(
         rig=rig,
         noise_scale=scale,
         priors=_priors(condition),
@@ -114,7 +114,7 @@ def set_up(condition: Condition, *, seed: int, number: int) -> Bench:
     )
 
 
-def _with_noise(rig: Rig, condition: Condition, scale: float) -> Rig:
+def _with_noise(rig: TrueRig, condition: Condition, scale: float) -> TrueRig:
     """Return the rig with the errors that the condition wants of it."""
     noise, resolution = rig.noise, rig.resolution_rad
     if condition.coarse:
@@ -134,7 +134,7 @@ def _with_noise(rig: Rig, condition: Condition, scale: float) -> Rig:
 
 
 def _targets(
-    rig: Rig, rows: int, rng: np.random.Generator
+    rig: TrueRig, rows: int, rng: np.random.Generator
 ) -> tuple[FloatArray, np.ndarray[tuple[int], np.dtype[np.str_]]]:
     """Return calibration and test targets, mm, shape (m, 3), and the part each belongs to."""
     own = draw_targets(rig, rng, count=rows, depth_range_mm=rig.depth_range_mm)
@@ -154,7 +154,7 @@ def _stated(observed: Observations, condition: Condition, scale: float) -> Obser
     return rows
 
 
-def _setup(rig: Rig, scale: float) -> Setup:
+def _setup(rig: TrueRig, scale: float) -> Setup:
     return Setup(
         RowSettings(
             u_x1c=rig.noise.pixel_px / float(rig.c1.matrix[0, 0]) / scale,

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from calib.study.journal import open_journal
-from calib.study.tasks import Task, key_of, perform_all
+from calib.study.tasks import StudyTask, key_of, perform_all
 
 Record = dict[str, Any]
 
@@ -42,7 +42,7 @@ def run_study(
     """
     # Rig by rig, so that an unfinished study has all conditions to the same depth.
     tasks = [
-        Task(condition, seed, number, key_of(condition, seed))
+        StudyTask(condition, seed, number, key_of(condition, seed))
         for number in range(rigs)
         for condition in conditions
     ]

@@ -51,7 +51,7 @@ PENALTY = float(np.log(len(HYPOTHESES)))
 
 
 @dataclass(frozen=True)
-class Score:
+class StudyScore:
     """One figure of the table.
 
     Parameters
@@ -80,24 +80,24 @@ class Score:
     rigs: int
 
 
-def score_all(records: Iterable[Record]) -> tuple[Score, ...]:
+def score_all(records: Iterable[Record]) -> tuple[StudyScore, ...]:
     """Return the scores of all conditions that have records."""
     by_condition: dict[str, list[Record]] = {}
     for record in sorted(records, key=lambda r: int(r["number"])):
         by_condition.setdefault(record["condition"], []).append(record)
-    found: list[Score] = []
+    found: list[StudyScore] = []
     for name in (*CONDITIONS, ADVICE, MISTAKES):
         if name not in by_condition:
             continue
         failed = [r for r in by_condition[name] if "failed" in r]
         good = [r for r in by_condition[name] if "failed" not in r]
-        found.append(Score(name, "rigs", "", "failed", float(len(failed)), None, len(good)))
+        found.append(StudyScore(name, "rigs", "", "failed", float(len(failed)), None, len(good)))
         if good:
             found += _SPECIAL.get(name, partial(_condition, name))(good)
     return tuple(found)
 
 
-def _condition(name: str, records: Sequence[Record]) -> Iterator[Score]:
+def _condition(name: str, records: Sequence[Record]) -> Iterator[StudyScore]:
     yield from _parameters(name, records)
     yield from _noise(name, records)
     for part in (INSIDE, BEYOND):
@@ -137,7 +137,7 @@ def _rms(values: FloatArray) -> tuple[float, float | None]:
     return root, None if error is None or root == 0 else error / (2 * root)
 
 
-def _parameters(name: str, records: Sequence[Record]) -> Iterator[Score]:
+def _parameters(name: str, records: Sequence[Record]) -> Iterator[StudyScore]:
     known = [r["parameters"] for r in records if "parameters" in r]
     if not known:
         return
@@ -157,7 +157,7 @@ def _parameters(name: str, records: Sequence[Record]) -> Iterator[Score]:
                 ("bias", _mean(miss)),
                 ("efficiency", _efficiency(miss, best)),
             ):
-                yield Score(name, parameter, estimator, statistic, mean, error, len(each))
+                yield StudyScore(name, parameter, estimator, statistic, mean, error, len(each))
             if estimator in ("robust", "posterior"):
                 yield from _pulls(name, parameter, estimator, each)
         ranks = np.array([e["posterior"][2] for e in each])
@@ -183,16 +183,16 @@ def _efficiency(miss: FloatArray, best: FloatArray | None) -> tuple[float, float
 
 def _pulls(
     name: str, parameter: str, estimator: str, each: Sequence[Mapping[str, Any]]
-) -> Iterator[Score]:
+) -> Iterator[StudyScore]:
     identified = [e for e in each if e["identified_by"] == "data"]
     if not identified:
         return
     pull = np.array([(e[estimator][0] - e["truth"]) / e[estimator][1] for e in identified])
     value, error = _rms(pull)
-    yield Score(name, parameter, estimator, "pull_rms", value, error, len(pull))
+    yield StudyScore(name, parameter, estimator, "pull_rms", value, error, len(pull))
 
 
-def _noise(name: str, records: Sequence[Record]) -> Iterator[Score]:
+def _noise(name: str, records: Sequence[Record]) -> Iterator[StudyScore]:
     ranks = np.array([r[NOISE][3] for r in records])
     yield from _coverage(name, NOISE, "posterior", [[rank] for rank in ranks])
     tests = 1 + len(records[0].get("parameters", {}))
@@ -201,45 +201,49 @@ def _noise(name: str, records: Sequence[Record]) -> Iterator[Score]:
 
 def _coverage(
     name: str, subject: str, estimator: str, ranks: Sequence[Sequence[float]]
-) -> Iterator[Score]:
+) -> Iterator[StudyScore]:
     """Yield how often central intervals hold the truth; rigs are independent, depths are not."""
     for level in LEVELS:
         hits = np.array([np.mean(np.abs(np.array(r) - 0.5) <= level / 2) for r in ranks if r])
         value, error = _fraction(hits)
         statistic = f"coverage{100 * level:.0f}"
-        yield Score(name, subject, estimator, statistic, value, error, len(hits))
+        yield StudyScore(name, subject, estimator, statistic, value, error, len(hits))
 
 
-def _uniformity(name: str, subject: str, ranks: FloatArray, *, tests: int) -> Score:
+def _uniformity(name: str, subject: str, ranks: FloatArray, *, tests: int) -> StudyScore:
     """Return the chi-squared p of uniform ranks, corrected for so many tests (Bonferroni)."""
     bins = int(np.clip(len(ranks) // RIGS_PER_BIN, 2, MOST_BINS))
     counts = np.histogram(ranks, bins=bins, range=(0, 1))[0]
     expected = len(ranks) / bins
     p = float(chi2.sf(((counts - expected) ** 2).sum() / expected, bins - 1))
-    return Score(name, subject, "posterior", "uniformity_p", min(1.0, p * tests), None, len(ranks))
+    return StudyScore(
+        name, subject, "posterior", "uniformity_p", min(1.0, p * tests), None, len(ranks)
+    )
 
 
-def _depths(name: str, subject: str, part: str, records: Sequence[Record]) -> Iterator[Score]:
+def _depths(name: str, subject: str, part: str, records: Sequence[Record]) -> Iterator[StudyScore]:
     for key, estimator, command in DEPTHS:
         depths = [r[key][part] for r in records if key in r]
         if not any(d["rank"] for d in depths):
             continue
         yield from _coverage(name, subject, estimator, [d["rank"] for d in depths])
         hits = np.array([np.mean(d["measure95"]) for d in depths if d["measure95"]])
-        yield Score(name, subject, command, "coverage95", *_fraction(hits), len(hits))
+        yield StudyScore(name, subject, command, "coverage95", *_fraction(hits), len(hits))
         widths = np.array([np.median(d["u_rel"]) for d in depths if d["u_rel"]])
-        yield Score(name, subject, estimator, "u_rel", float(np.median(widths)), None, len(widths))
+        yield StudyScore(
+            name, subject, estimator, "u_rel", float(np.median(widths)), None, len(widths)
+        )
         biases = np.array(
             [np.mean(np.array(d["error_rel"]) / d["u_rel"]) for d in depths if d["u_rel"]],
             dtype=float,
         )
-        yield Score(name, subject, estimator, "bias", *_mean(biases), len(biases))
+        yield StudyScore(name, subject, estimator, "bias", *_mean(biases), len(biases))
 
 
-def _selection(name: str, records: Sequence[Record]) -> Iterator[Score]:
+def _selection(name: str, records: Sequence[Record]) -> Iterator[StudyScore]:
     for model in CONDITIONS[name].fitted:
         chosen = np.array([float(r["selected"] == model) for r in records])
-        yield Score(name, "model", model, "share", *_fraction(chosen), len(chosen))
+        yield StudyScore(name, "model", model, "share", *_fraction(chosen), len(chosen))
     clear = [
         r
         for r in records
@@ -249,10 +253,10 @@ def _selection(name: str, records: Sequence[Record]) -> Iterator[Score]:
     ]
     if clear:
         chosen = np.array([float(r["selected"] == EXTENDED) for r in clear])
-        yield Score(name, "model", EXTENDED, "share_clear", *_fraction(chosen), len(chosen))
+        yield StudyScore(name, "model", EXTENDED, "share_clear", *_fraction(chosen), len(chosen))
 
 
-def _mistakes(records: Sequence[Record]) -> list[Score]:
+def _mistakes(records: Sequence[Record]) -> list[StudyScore]:
     """Return how often the diagnosis names what is wrong, and how often where nothing is."""
     # Under each condition another rig.
     clean = [
@@ -275,7 +279,7 @@ def _mistakes(records: Sequence[Record]) -> list[Score]:
     ]
 
     def share(statistic: str, subject: str, key: str, value: Any, says: Callable[[Any], bool],
-              *, of: Callable[[Any], bool] = lambda _: True) -> Score:  # fmt: skip
+              *, of: Callable[[Any], bool] = lambda _: True) -> StudyScore:  # fmt: skip
         some = [[says(one) for one in each if one[key] == value and of(one)] for each in made]
         return _share(subject, statistic, some)
 
@@ -293,7 +297,7 @@ def _mistakes(records: Sequence[Record]) -> list[Score]:
     return found + _pairs(records)
 
 
-def _pairs(records: Sequence[Record]) -> list[Score]:
+def _pairs(records: Sequence[Record]) -> list[StudyScore]:
     """Return how often the diagnosis names one or both of two mistakes that were made at once."""
     made = [[one for one in r["pairs"] if (one["effect"] or 0.0) > HARM] for r in records]
 
@@ -332,7 +336,7 @@ def _is_in_evidence(one: Mapping[str, Any]) -> bool:
     return one["gain"] is not None and one["gain"] + PENALTY > EVIDENT
 
 
-def _share(subject: str, statistic: str, held: Sequence[Sequence[bool]]) -> Score:
+def _share(subject: str, statistic: str, held: Sequence[Sequence[bool]]) -> StudyScore:
     """Return a share of the cases of all rigs, those of one rig in a list.
 
     The standard error is that of a ratio of sums over rigs, whose cases go together (Cochran 1977,
@@ -342,17 +346,17 @@ def _share(subject: str, statistic: str, held: Sequence[Sequence[bool]]) -> Scor
     hits = np.array([sum(each) for each in held if each], dtype=float)
     rigs = len(counts)
     if rigs == 0:
-        return Score(MISTAKES, subject, "", statistic, float("nan"), None, 0)
+        return StudyScore(MISTAKES, subject, "", statistic, float("nan"), None, 0)
     share = float(hits.sum() / counts.sum())
     if share in (0.0, 1.0):
         _, error = _fraction(np.full(rigs, share))
     else:
         _, spread = _mean(hits - share * counts)
         error = None if spread is None else spread / float(counts.mean())
-    return Score(MISTAKES, subject, "", statistic, share, error, rigs)
+    return StudyScore(MISTAKES, subject, "", statistic, share, error, rigs)
 
 
-def _advice(records: Sequence[Record]) -> list[Score]:
+def _advice(records: Sequence[Record]) -> list[StudyScore]:
     """Return how much lower u(z) is after advised than after random targets."""
     found = []
     for criterion in records[0]["u_rel"]:
@@ -363,13 +367,13 @@ def _advice(records: Sequence[Record]) -> list[Score]:
         # Standard error of a median, from the quartiles of a normal sample.
         error = float(1.2533 * spread / 1.349 / np.sqrt(len(ratio)))
         found.append(
-            Score(ADVICE, "depth asked", criterion, "u_ratio", float(np.median(ratio)), error,
+            StudyScore(ADVICE, "depth asked", criterion, "u_ratio", float(np.median(ratio)), error,
                   len(ratio))
         )  # fmt: skip
     return found
 
 
-_SPECIAL: Mapping[str, Callable[[Sequence[Record]], Iterable[Score]]] = MappingProxyType(
+_SPECIAL: Mapping[str, Callable[[Sequence[Record]], Iterable[StudyScore]]] = MappingProxyType(
     {ADVICE: _advice, MISTAKES: _mistakes}
 )
 """Scores of trials that are no calibrations of one rig under one condition."""

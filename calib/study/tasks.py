@@ -19,7 +19,7 @@ Record = dict[str, Any]
 
 
 @dataclass(frozen=True)
-class Task:
+class StudyTask:
     """One rig of one condition."""
 
     condition: str
@@ -36,7 +36,7 @@ def key_of(condition: str, seed: int) -> str:
     return digest(fields, seed, code_fingerprint(module))[:16]
 
 
-def perform(task: Task) -> Record:
+def perform(task: StudyTask) -> Record:
     """Return the record of one rig; the same on any machine with these versions."""
     if task.condition == ADVICE:
         from calib.study.advice import run_advice
@@ -54,7 +54,9 @@ def perform(task: Task) -> Record:
     return record
 
 
-def perform_all(tasks: Sequence[Task], *, jobs: int, scheduler: str | None) -> Iterator[Record]:
+def perform_all(
+    tasks: Sequence[StudyTask], *, jobs: int, scheduler: str | None
+) -> Iterator[Record]:
     """Yield records in the order in which they are finished.
 
     Parameters
@@ -80,10 +82,10 @@ def perform_all(tasks: Sequence[Task], *, jobs: int, scheduler: str | None) -> I
 
 def perform_stage(*, task: Mapping[str, Any]) -> Record:
     """Return the record of a rig whose task comes as its fields."""
-    return perform(Task(**task))
+    return perform(StudyTask(**task))
 
 
-def _on_processes(tasks: Sequence[Task], jobs: int) -> Iterator[Record]:
+def _on_processes(tasks: Sequence[StudyTask], jobs: int) -> Iterator[Record]:
     requests = [
         Request(
             f"{task.condition}, rig {task.number}",

@@ -27,7 +27,7 @@ from calib.geometry.parameters import Model
 from calib.instrument.calibrated import CalibratedInstrument, instrument_from_draws
 from calib.study.conditions import Condition
 from calib.study.depths import DRAWS, depth_record, model_depths
-from calib.study.rigs import Bench, set_up
+from calib.study.rigs import StudiedRig, set_up
 
 DIGITS = 6
 """Significant digits of the figures kept."""
@@ -48,7 +48,7 @@ def run_trial(condition: Condition, *, seed: int, number: int) -> Record:
         return record | {"failed": str(error)}
 
 
-def calibrated(condition: Condition, bench: Bench, seeds: list[SeedSequence]) -> Record:
+def calibrated(condition: Condition, bench: StudiedRig, seeds: list[SeedSequence]) -> Record:
     """Calibrate a bench and score it."""
     for_sampling, for_comparison, for_depths, for_table = seeds
     rng = np.random.default_rng(for_sampling)
@@ -90,7 +90,7 @@ def calibrated(condition: Condition, bench: Bench, seeds: list[SeedSequence]) ->
 
 
 def _instrument(
-    fit: RobustFit, sample: ImportanceSample, bench: Bench, rng: Generator
+    fit: RobustFit, sample: ImportanceSample, bench: StudiedRig, rng: Generator
 ) -> CalibratedInstrument:
     """Return the instrument as one model describes it."""
     draws = sample.equally_weighted(DRAWS, rng)
@@ -107,7 +107,7 @@ def _standing(sample: ImportanceSample, column: int, truth: float) -> tuple[floa
     return mean, float(np.sqrt(variance)), float(sample.weights @ (values < truth))
 
 
-def _parameters(bench: Bench, fit: RobustFit, sample: ImportanceSample) -> Record:
+def _parameters(bench: StudiedRig, fit: RobustFit, sample: ImportanceSample) -> Record:
     """Return, by parameter of the true model: truth, bound, estimates, posterior."""
     model = fit.structure
     bound = cramer_rao(model, bench)
@@ -128,7 +128,7 @@ def _parameters(bench: Bench, fit: RobustFit, sample: ImportanceSample) -> Recor
     return record
 
 
-def cramer_rao(model: Model, bench: Bench) -> FloatArray:
+def cramer_rao(model: Model, bench: StudiedRig) -> FloatArray:
     """Return the least covariance that an estimator of the free parameters can have, (p, p).
 
     For normal errors of the true size, with the stated priors (van Trees' bound), outliers and
@@ -141,7 +141,7 @@ def cramer_rao(model: Model, bench: Bench) -> FloatArray:
     return np.asarray(np.linalg.inv(information), dtype=np.float64)
 
 
-def _ideal(model: Model, bench: Bench, bound: FloatArray) -> FloatArray:
+def _ideal(model: Model, bench: StudiedRig, bound: FloatArray) -> FloatArray:
     """Return the estimate, (p,), that attains the bound: one Gauss-Newton step from the truth.
 
     It knows the truth and is of use in one way only: on the same rows its errors are those of other
@@ -158,7 +158,7 @@ def _ideal(model: Model, bench: Bench, bound: FloatArray) -> FloatArray:
     return estimate
 
 
-def _linear_estimates(bench: Bench, model: Model) -> Mapping[str, Mapping[str, float]]:
+def _linear_estimates(bench: StudiedRig, model: Model) -> Mapping[str, Mapping[str, float]]:
     """Return what the paper's linear and the weighted bilinear least squares find, by name."""
     linear = fit_linear(bench.rows)
     sigma = row_noise(first_guess(bench.rows), bench.rows).sigma

@@ -12,7 +12,13 @@ from calib.core.errors import EstimationError
 from calib.core.unit_diagonal import unit_diagonal
 from calib.geometry.plane import gaze_at
 from calib.uncertainty.budget import COVERAGE, Budget
-from calib.uncertainty.joint import Asked, FixedNumber, Quantity, propagate_together, raise_first
+from calib.uncertainty.joint import (
+    FixedNumber,
+    MeasuredPoints,
+    Quantity,
+    propagate_together,
+    raise_first,
+)
 from calib.uncertainty.measurement import Instrument, Reading
 from calib.uncertainty.model import MeasurementModel
 from calib.uncertainty.montecarlo import (
@@ -20,8 +26,8 @@ from calib.uncertainty.montecarlo import (
     Draws,
     Interval,
     MonteCarlo,
+    MonteCarloValidation,
     Results,
-    Validation,
     validate,
 )
 
@@ -62,7 +68,7 @@ class DepthUncertainty:
     z_mm: float
     budget: Budget
     monte_carlo: MonteCarlo
-    validation: Validation
+    validation: MonteCarloValidation
     linear_valid: bool
 
     @property
@@ -178,7 +184,7 @@ def depth_uncertainty(
     """
     model = MeasurementModel(instrument, [reading])
     depth = _AskedDepth.of(model, reading, digits=digits)
-    raise_first(propagate_together(instrument, [Asked(model, (depth.quantity,))], rng))
+    raise_first(propagate_together(instrument, [MeasuredPoints(model, (depth.quantity,))], rng))
     return depth.answer()
 
 
@@ -192,7 +198,7 @@ def position_uncertainty(
     """
     model = MeasurementModel(instrument, [reading])
     position = _AskedPosition.of(model)
-    raise_first(propagate_together(instrument, [Asked(model, (position.quantity,))], rng))
+    raise_first(propagate_together(instrument, [MeasuredPoints(model, (position.quantity,))], rng))
     return position.answer()
 
 
@@ -208,7 +214,7 @@ def point_uncertainties(
     depths = [_AskedDepth.of(m, r, digits=2) for m, r in zip(models, readings, strict=True)]
     positions = [_AskedPosition.of(m) for m in models]
     asked = [
-        Asked(m, (d.quantity, p.quantity))
+        MeasuredPoints(m, (d.quantity, p.quantity))
         for m, d, p in zip(models, depths, positions, strict=True)
     ]
     errors = propagate_together(instrument, asked, rng)

@@ -28,17 +28,17 @@ _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 @dataclass(frozen=True)
-class Shown:
+class PrintedUnit:
     """A unit as printed, and the factor from the internal unit to it."""
 
     unit: str
     factor: float
 
 
-SHOWN: dict[str, Shown] = {
-    "mm": Shown("mm", 1.0),
-    "rad": Shown("mrad", 1e3),
-    "1": Shown("1", 1.0),
+SHOWN: dict[str, PrintedUnit] = {
+    "mm": PrintedUnit("mm", 1.0),
+    "rad": PrintedUnit("mrad", 1e3),
+    "1": PrintedUnit("1", 1.0),
 }
 """Printed units of the internal ones: milliradians keep small angles readable."""
 

@@ -69,7 +69,7 @@ class Quantity:
 
 
 @dataclass(frozen=True)
-class Asked:
+class MeasuredPoints:
     """Points that an instrument measures, and what is asked of them."""
 
     model: MeasurementModel
@@ -82,7 +82,7 @@ class Asked:
 
 
 def propagate_together(
-    instrument: Instrument, asked: Sequence[Asked], rng: np.random.Generator
+    instrument: Instrument, asked: Sequence[MeasuredPoints], rng: np.random.Generator
 ) -> tuple[EstimationError | None, ...]:
     """Give all quantities results of the same trials, until each has enough.
 

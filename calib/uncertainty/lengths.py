@@ -17,7 +17,7 @@ import numpy as np
 
 from calib.core.arrays import FloatArray
 from calib.uncertainty.budget import Budget
-from calib.uncertainty.joint import Asked, Quantity, propagate_together, raise_first
+from calib.uncertainty.joint import MeasuredPoints, Quantity, propagate_together, raise_first
 from calib.uncertainty.measurement import Instrument, Reading
 from calib.uncertainty.model import MeasurementModel
 from calib.uncertainty.montecarlo import NORMAL_FACTOR, Draws, Interval, Results
@@ -143,7 +143,8 @@ def _draws(
     """Return draws of the distances between the two points of each model, mm."""
     results = [Results(model.blocks) for model in models]
     asked = [
-        Asked(model, (Quantity(_between, own),)) for model, own in zip(models, results, strict=True)
+        MeasuredPoints(model, (Quantity(_between, own),))
+        for model, own in zip(models, results, strict=True)
     ]
     raise_first(propagate_together(instrument, asked, rng))
     return [own.draws() for own in results]

@@ -105,7 +105,7 @@ class MonteCarlo:
 
 
 @dataclass(frozen=True)
-class Validation:
+class MonteCarloValidation:
     """Verdict on the linear result (JCGM 101, clause 8).
 
     Parameters
@@ -369,7 +369,7 @@ def shortest_interval(ordered: FloatArray) -> Interval:
 
 def validate(
     result: MonteCarlo, *, estimate: float, standard_uncertainty: float, coverage_factor: float
-) -> Validation:
+) -> MonteCarloValidation:
     """Return whether y ± k u may stand for the distribution (JCGM 101, clause 8)."""
     half = coverage_factor * standard_uncertainty
     linear = Interval(estimate - half, estimate + half)
@@ -377,7 +377,7 @@ def validate(
     doubt = (result.numerical_low, result.numerical_high)
     known = max(doubt) <= DECIDED * result.tolerance
     margin = (0.0, 0.0) if known else doubt
-    return Validation(
+    return MonteCarloValidation(
         linear=linear,
         coverage_factor=coverage_factor,
         difference_low=away[0],

@@ -16,8 +16,8 @@ import distributed
 import pytest
 
 from calib.batch.run import run_batch, tasks_of
-from calib.batch.summary import Line, csv_text, page
-from calib.batch.task import Task, calibrate_one
+from calib.batch.summary import SummaryLine, csv_text, page
+from calib.batch.task import DatasetTask, calibrate_one
 from calib.core.errors import UsageError
 from calib.stages.files import is_in_use
 from calib.stages.store import Store
@@ -136,7 +136,7 @@ def test_a_run_that_crashes_is_told_as_such(
     killer.write_text('#!/bin/sh\necho "  base/linear" >&2\nkill -9 $$\n')
     killer.chmod(0o755)
     monkeypatch.setattr(sys, "executable", str(killer))
-    outcome = calibrate_one(Task(str(PAPER), str(tmp_path / "out")))
+    outcome = calibrate_one(DatasetTask(str(PAPER), str(tmp_path / "out")))
     assert outcome.ending == "crashed"
     assert outcome.said == ("  base/linear", "ended with status -9")
 
@@ -160,7 +160,7 @@ def test_a_folder_in_use_is_waited_for(tmp_path: Path, monkeypatch: pytest.Monke
     with ThreadPoolExecutor() as pool:
         with Store(out).locked():
             assert is_in_use(out)
-            waiting = pool.submit(calibrate_one, Task(str(PAPER), str(out)))
+            waiting = pool.submit(calibrate_one, DatasetTask(str(PAPER), str(out)))
             while not (runs.exists() or waiting.done()):
                 time.sleep(0.02)
             time.sleep(2.0)
@@ -182,7 +182,7 @@ def test_names_of_runs(tmp_path: Path) -> None:
 
 
 def test_names_do_no_harm() -> None:
-    line = Line("=cmd|x", "<b>\N{RIGHT-TO-LEFT OVERRIDE}", "refused", {}, ("<script>",), ())
+    line = SummaryLine("=cmd|x", "<b>\N{RIGHT-TO-LEFT OVERRIDE}", "refused", {}, ("<script>",), ())
     assert "'=cmd|x" in csv_text([line])
     text = page([line])
     assert "<script>" not in text

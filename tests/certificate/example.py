@@ -12,9 +12,9 @@ from calib.certificate.inputs import (
     Administration,
     CalibrationSummary,
     CertificateInputs,
-    Derived,
+    CertificateProvenance,
+    DerivedQuantity,
     Issue,
-    Provenance,
 )
 from calib.core.gate import Gate
 from calib.uncertainty.certified import CertifiedDepth, certify_depths, check_depth
@@ -289,7 +289,7 @@ def inputs(
     return CertificateInputs(
         administration=administration,
         issue=Issue("AG-20260201T093012Z-3F2A9C1B-8D1E22C4A7F0", "2026-02-01"),
-        provenance=Provenance(
+        provenance=CertificateProvenance(
             dataset_name="example",
             dataset_title="Example of a certificate",
             dataset_sha256="3f2a9c1b" + "0" * 56,
@@ -310,7 +310,7 @@ def inputs(
             calibrated_mm=CALIBRATED_MM,
             noise_factor=1.31,
             derived=(
-                Derived(
+                DerivedQuantity(
                     "L_b + e",
                     "baseline seen at 90°",
                     "mm",

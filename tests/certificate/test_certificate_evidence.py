@@ -17,7 +17,7 @@ from calib.geometry.plane import gaze_at
 from calib.instrument.calibrated import CalibratedInstrument
 from calib.instrument.evidence import gather_evidence
 from calib.instrument.validation import ValidationResult
-from calib.rows.common_errors import Shared
+from calib.rows.common_errors import CommonErrors
 from calib.rows.from_table import CameraSet, RowSettings, Setup, ValidationRows
 from calib.rows.observations import Observations
 from calib.stages.serialise import deserialise, serialise
@@ -55,7 +55,7 @@ SETUP = Setup(RowSettings(1e-4, 0.0, 0.002, 1e-3, 0.0))
 FOCAL = Setup(
     SETUP.settings,
     CameraSet(Camera(np.diag([1000.0, 1000.0, 1.0]), np.zeros(0), (1280, 960))),
-    Shared(("c1.fx",), np.array([[3.0]])),
+    CommonErrors(("c1.fx",), np.array([[3.0]])),
 )
 
 

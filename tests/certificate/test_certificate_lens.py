@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calib.certificate.assemble import lens_words
-from calib.dataset.manifest import Camera as Stated
+from calib.dataset.manifest import CameraSection as Stated
 from calib.geometry.camera import Camera
 from calib.geometry.lens import ProjectionName
 

@@ -32,7 +32,7 @@ from calib.geometry.board import Corners
 from calib.geometry.camera import project
 from calib.geometry.poses import rotation
 from calib.images.adjustment.gates import STEADY
-from calib.simulate.contents import Contents, IntrinsicViews, SimulationOptions, Table
+from calib.simulate.contents import Contents, CsvTable, IntrinsicViews, SimulationOptions
 from calib.simulate.dataset import simulate_dataset
 from calib.simulate.plan import plan_dataset
 from calib.simulate.render import Optics
@@ -152,7 +152,7 @@ def write_rig(seed: int, kind: str, folder: Path) -> Contents:
     return contents
 
 
-def spoilt(table: Table, std_deg: float, seed: int) -> Table:
+def spoilt(table: CsvTable, std_deg: float, seed: int) -> CsvTable:
     """Return gaze rows whose readings err by so much more."""
     rng, place = np.random.default_rng(seed + 5000), table.columns.index("alpha2_deg")
     rows = []

@@ -19,7 +19,7 @@ from command import Ended, call, commands
 from given_calibration import calibration
 
 from calib.batch.summary import line_of
-from calib.batch.task import Outcome, Task
+from calib.batch.task import DatasetTask, Outcome
 from calib.cli.arguments import PathRole, roles
 from calib.cli.main import parser
 from calib.cli.plan import note_broken
@@ -295,7 +295,7 @@ def test_whole_ones_are_taken(run: Path, capsys: pytest.CaptureFixture[str]) -> 
 def test_a_batch_and_a_plan_tell_of_a_run_that_is_not_whole(
     run: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    done = Outcome(Task("d", str(run)), "passed")
+    done = Outcome(DatasetTask("d", str(run)), "passed")
     assert line_of(done, run.parent).result == "passed"
     note_broken(run)
     assert capsys.readouterr().err == ""

@@ -24,7 +24,15 @@ from calib.dataset.camera_file import read_camera
 from calib.dataset.faults import parse_manifest
 from calib.dataset.fields import PRIOR_NAMES
 from calib.dataset.load import check_dataset, load_dataset
-from calib.dataset.manifest import Board, Camera, Certificate, Encoder, Gaze, Manifest, Stereo
+from calib.dataset.manifest import (
+    BoardSection,
+    CameraSection,
+    CertificateSection,
+    Encoder,
+    GazeSection,
+    Manifest,
+    StereoSection,
+)
 from calib.dataset.readers import read_gaze, read_lengths, read_measurements, read_sweep
 from calib.dataset.returns import scan_returns
 from calib.dataset.tables import GazeTable
@@ -110,7 +118,15 @@ KEYS = st.sampled_from(
         *PRIOR_NAMES,
         *(
             key
-            for section in (Manifest, Board, Camera, Stereo, Encoder, Gaze, Certificate)
+            for section in (
+                Manifest,
+                BoardSection,
+                CameraSection,
+                StereoSection,
+                Encoder,
+                GazeSection,
+                CertificateSection,
+            )
             for key in section.model_fields
         ),
     ]

@@ -19,7 +19,7 @@ from calib.diagnosis.session import RowHistory, row_history
 from calib.fit.priors import Priors
 from calib.fit.robust import fit_model
 from calib.mirror.problem import Mirror
-from calib.rows.common_errors import Shared
+from calib.rows.common_errors import CommonErrors
 from calib.simulate.faults import FAULTS
 
 NAMED = (
@@ -141,10 +141,10 @@ def test_times_order_the_rows(tmp_path: Path) -> None:
 @pytest.mark.parametrize("fault", ["reading-step", "c1-principal-point", "range-not-depth"])
 def test_a_rig_in_the_mirror_has_the_same_causes(fault: str, tmp_path: Path) -> None:
     rows, priors, fit, dataset = fitted(tmp_path, fault)
-    mirrored = Mirror.of(Shared()).rows(rows)
+    mirrored = Mirror.of(CommonErrors()).rows(rows)
     right = Tried.of(rows, priors, fit, row_history(dataset), is_left=False)
     # Mirrored twice: a rig on the left whose rows went into the mirror.
-    again = Mirror.of(Shared()).rows(mirrored)
+    again = Mirror.of(CommonErrors()).rows(mirrored)
     left = Tried.of(again, priors, fit, row_history(dataset), is_left=True)
     assert right is not None
     assert left is not None

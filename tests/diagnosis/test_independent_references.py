@@ -31,7 +31,7 @@ from calib.rows.from_table import ValidationRows
 from calib.rows.observations import Observations
 from calib.simulate.faults import FULL_STEP_COUNTS
 from calib.study.conditions import CONDITIONS
-from calib.study.rigs import INSIDE, Bench, set_up
+from calib.study.rigs import INSIDE, StudiedRig, set_up
 
 MODEL = "axis-offset"
 NOTHING = Diagnosis(MODEL)
@@ -39,11 +39,13 @@ CONDITION = replace(CONDITIONS["axis-offset-14"], rows=24)
 
 
 @cache
-def rig(seed: int) -> Bench:
+def rig(seed: int) -> StudiedRig:
     return set_up(CONDITION, seed=seed, number=0)
 
 
-def validation_of(bench: Bench, *, alpha_rad: float = 0.0, z_mm: float = 0.0) -> ValidationRows:
+def validation_of(
+    bench: StudiedRig, *, alpha_rad: float = 0.0, z_mm: float = 0.0
+) -> ValidationRows:
     """Return independent rows of a rig, readings and references off by so much."""
     tests = bench.tests[INSIDE]
     z = bench.true_depths_mm[INSIDE] + z_mm
@@ -54,7 +56,7 @@ def validation_of(bench: Bench, *, alpha_rad: float = 0.0, z_mm: float = 0.0) ->
     return ValidationRows(rows, np.arange(len(rows)), {})
 
 
-def instrument(fit: RobustFit, bench: Bench, rows: Observations) -> CalibratedInstrument:
+def instrument(fit: RobustFit, bench: StudiedRig, rows: Observations) -> CalibratedInstrument:
     rng = np.random.default_rng(3)
     draws = rng.multivariate_normal(fit.values, fit.covariance, 2000)
     noise = np.full((len(draws), 1), np.log(fit.noise_scale))
@@ -64,7 +66,7 @@ def instrument(fit: RobustFit, bench: Bench, rows: Observations) -> CalibratedIn
 
 
 def found(
-    bench: Bench,
+    bench: StudiedRig,
     rows: Observations,
     validation: ValidationRows | None,
     lengths: LengthTable | None = None,
@@ -80,7 +82,7 @@ def found(
     return found, depths
 
 
-def history_of(bench: Bench) -> RowHistory:
+def history_of(bench: StudiedRig) -> RowHistory:
     resolution = bench.rig.resolution_rad
     return RowHistory({}, {}, resolution, FULL_STEP_COUNTS * resolution)
 
@@ -168,7 +170,7 @@ def test_lengths_yet_to_be_measured_add_nothing_to_validation_depths() -> None:
     assert len(without) == 3
 
 
-def lengths_between(bench: Bench) -> LengthTable:
+def lengths_between(bench: StudiedRig) -> LengthTable:
     """Return true distances between targets of the calibration rows."""
     truth = bench.true_rows
     points = np.stack([truth.x1c, truth.y1c, np.ones(len(truth))], axis=1) * truth.z_mm[:, None]

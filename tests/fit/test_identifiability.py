@@ -13,13 +13,13 @@ import numpy as np
 import pytest
 
 from calib.fit.identifiability import UNDETERMINED, Identifiability, identifiability
-from calib.fit.information import Known, beforehand, row_information
-from calib.fit.priors import Measured, Priors, measured_of, prior_of
+from calib.fit.information import Information, beforehand, row_information
+from calib.fit.priors import MeasuredParameters, Priors, measured_of, prior_of
 from calib.fit.robust import RobustFit, fit_robust
 from calib.geometry.parameters import MODELS
 from calib.geometry.plane import OBSERVABLE
 from calib.rows.observations import Observations
-from calib.simulate.rig import Rig, draw_rig
+from calib.simulate.rig import TrueRig, draw_rig
 from calib.simulate.tables import observe
 from calib.stages.serialise import deserialise, serialise
 
@@ -30,7 +30,7 @@ NARROW = ([0.05, 0.1, 0.15], [700.0, 900.0, 1200.0, 1500.0])
 AXIS_OFFSET = MODELS["axis-offset"]
 
 
-def rig() -> Rig:
+def rig() -> TrueRig:
     return draw_rig(
         np.random.default_rng(4), model="axis-offset", fixed={"baseline_mm": 120.0}
     )  # fmt: skip
@@ -90,7 +90,7 @@ def test_a_sweep_identifies_what_the_rows_do_not() -> None:
     """Property: with e measured to 0.05 mm the combination is told by the sweep, and named so."""
     narrow = rows_along(*NARROW)
     e = dict(zip(AXIS_OFFSET.free, fit(narrow, "axis-offset").values, strict=True))
-    measured = Measured(
+    measured = MeasuredParameters(
         ("eccentricity_mm",), np.array([e["eccentricity_mm"]]), np.array([[0.05**2]])
     )
     found = told(narrow, Priors({}, measured))
@@ -177,14 +177,14 @@ def test_combinations_are_the_information_taken_apart() -> None:
 
 def test_what_nothing_is_known_of_is_infinite() -> None:
     """Property: one row of two numbers tells their sum, the difference not, and each not."""
-    known = Known.of(np.array([[2.0, 2.0]]))
+    known = Information.of(np.array([[2.0, 2.0]]))
     along = np.array([[1.0, 1.0], [1.0, -1.0], [np.sqrt(2), 0.0]]) / np.sqrt(2)
     std = known.std(along)
     # The row is 2 sqrt(2) times the unit vector of the sum.
     assert std[0] == pytest.approx(1 / np.sqrt(8))
     assert std[1] == std[2] == np.inf
     assert known.value[1] == 0.0
-    both = Known.of(np.array([[2.0, 2.0]]), np.array([[0.0, 1.0]]))
+    both = Information.of(np.array([[2.0, 2.0]]), np.array([[0.0, 1.0]]))
     np.testing.assert_allclose(both.covariance, np.linalg.inv([[4.0, 4.0], [4.0, 5.0]]))
 
 

@@ -17,8 +17,8 @@ from scipy.optimize import minimize_scalar
 
 from calib.fit import robust, row_sums
 from calib.fit.noise import CLEAN, ROBUST, Tails, is_outlier, log_density, row_noise
-from calib.fit.priors import Measured, NormalKnowledge, Priors, measured_of, prior_of
-from calib.fit.reweighting import LAST_STEP, Problem, Solution
+from calib.fit.priors import MeasuredParameters, NormalKnowledge, Priors, measured_of, prior_of
+from calib.fit.reweighting import LAST_STEP, FitProblem, FitSolution
 from calib.fit.robust import RobustFit, fit_robust
 from calib.fit.row_sums import residuals, sum_rows
 from calib.geometry.misclosure import misclosure, misclosure_value
@@ -32,7 +32,7 @@ TRUTH = {
 STATED = Priors({"axis_z_mm": (-15.0, 2.0), "encoder_scale": (0.0, 1e-3)})
 MEASURED = Priors(
     {},
-    Measured(
+    MeasuredParameters(
         ("eccentricity_mm", "axis_z_mm"),
         np.array([2.1, -19.0]),
         np.array([[0.04, 0.01], [0.01, 0.09]]),
@@ -48,16 +48,16 @@ def rows_of(model: str, *, count: int = COUNT, outliers: int = 0, seed: int = 1)
 
 
 @pytest.fixture
-def near(monkeypatch: pytest.MonkeyPatch) -> list[Solution | None]:
+def near(monkeypatch: pytest.MonkeyPatch) -> list[FitSolution | None]:
     """What Newton steps have arrived at, call by call."""
-    found: list[Solution | None] = []
-    settle_near = Problem.settle_near
+    found: list[FitSolution | None] = []
+    settle_near = FitProblem.settle_near
 
-    def spied(self: Problem, theta: np.ndarray, scale: float) -> Solution | None:
+    def spied(self: FitProblem, theta: np.ndarray, scale: float) -> FitSolution | None:
         found.append(settle_near(self, theta, scale))
         return found[-1]
 
-    monkeypatch.setattr(Problem, "settle_near", spied)
+    monkeypatch.setattr(FitProblem, "settle_near", spied)
     return found
 
 
@@ -65,7 +65,7 @@ def by_optimiser(
     monkeypatch: pytest.MonkeyPatch, rows: Observations, model: str, priors: Priors
 ) -> RobustFit:
     with monkeypatch.context() as patch:
-        patch.setattr(Problem, "settle_near", lambda *_: None)
+        patch.setattr(FitProblem, "settle_near", lambda *_: None)
         return fit_robust(rows, MODELS[model], priors)
 
 
@@ -84,7 +84,7 @@ def by_optimiser(
 )
 def test_newton_steps_and_optimiser_agree(
     monkeypatch: pytest.MonkeyPatch,
-    near: list[Solution | None],
+    near: list[FitSolution | None],
     model: str,
     priors: Priors,
     outliers: int,
@@ -138,7 +138,7 @@ def test_the_estimate_has_the_greatest_density(model: str, outliers: int) -> Non
 
 
 def test_a_start_too_far_is_left_to_the_optimiser(
-    monkeypatch: pytest.MonkeyPatch, near: list[Solution | None]
+    monkeypatch: pytest.MonkeyPatch, near: list[FitSolution | None]
 ) -> None:
     """Negative control: the rows that the search for outliers looks at are not like the others."""
     rows = rows_of("axis-offset")
@@ -153,7 +153,7 @@ def test_a_start_too_far_is_left_to_the_optimiser(
     assert quick.evaluations == slow.evaluations
 
 
-def test_density_that_curves_the_wrong_way_has_no_step(near: list[Solution | None]) -> None:
+def test_density_that_curves_the_wrong_way_has_no_step(near: list[FitSolution | None]) -> None:
     """Negative control: half of the rows say one thing, half another, and the start lies between.
 
     There the Student-t density of robust tails is least, not greatest.
@@ -168,8 +168,8 @@ def test_density_that_curves_the_wrong_way_has_no_step(near: list[Solution | Non
     assert len(near) == 2
 
 
-def problem_of(rows: Observations, model: Model, tails: Tails) -> Problem:
-    return Problem(
+def problem_of(rows: Observations, model: Model, tails: Tails) -> FitProblem:
+    return FitProblem(
         rows, model, prior_of(model, NO_PRIORS), measured_of(model, NO_PRIORS), (0.0, 1.0), tails
     )
 
@@ -305,7 +305,7 @@ def test_memory_beside_the_rows() -> None:
 @pytest.mark.parametrize("count", [6, 14, 60])
 @pytest.mark.parametrize("model", ["base", "axis-offset"])
 def test_few_rows_left_out_one_by_one_are_settled_alike(
-    monkeypatch: pytest.MonkeyPatch, near: list[Solution | None], model: str, count: int
+    monkeypatch: pytest.MonkeyPatch, near: list[FitSolution | None], model: str, count: int
 ) -> None:
     """Whichever way settles them: the steps, or the optimiser where these do not converge."""
     rows = rows_of(model, count=count, seed=count)
@@ -316,7 +316,7 @@ def test_few_rows_left_out_one_by_one_are_settled_alike(
         # An offset that few rows hardly tell may take more steps than there are.
         assert model != "base" or near[-1] is not None
         with monkeypatch.context() as patch:
-            patch.setattr(Problem, "settle_near", lambda *_: None)
+            patch.setattr(FitProblem, "settle_near", lambda *_: None)
             slow = fit_robust(kept, MODELS[model], STATED, start=start.theta)
         std = np.sqrt(np.diag(slow.covariance))
         np.testing.assert_allclose((quick.values - slow.values) / std, 0, atol=3 * LAST_STEP)

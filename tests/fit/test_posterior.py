@@ -18,7 +18,7 @@ from calib.fit.density import LogPosterior, log_posterior
 from calib.fit.importance import sample_importance
 from calib.fit.noise import CLEAN, log_density, row_noise
 from calib.fit.posterior import Posterior, laplace, posterior_of, sample_posterior
-from calib.fit.priors import NOISE_SCALE, Measured, Priors, measured_of, prior_of
+from calib.fit.priors import NOISE_SCALE, MeasuredParameters, Priors, measured_of, prior_of
 from calib.fit.robust import RobustFit, fit_model, fit_robust
 from calib.geometry.misclosure import misclosure
 from calib.geometry.parameters import MODELS, REFERENCE_OFFSET, STANDOFF, embed, model_for
@@ -54,7 +54,7 @@ def test_log_posterior_is_the_sum_of_its_parts(
     rows, theta = simulated(rng, count=17, axis_z_mm=-20.0)
     if off_centre:
         rows = replace(rows, gaze_residual_rad=rng.normal(0, 0.03, 17))
-    measured = Measured(("eccentricity_mm",), np.array([2.0]), np.array([[0.5]]))
+    measured = MeasuredParameters(("eccentricity_mm",), np.array([2.0]), np.array([[0.5]]))
     priors = Priors({"axis_z_mm": (-10.0, 5.0), NOISE_SCALE: (0.2, 0.5)}, measured)
     target = log_posterior(rows, model, priors, theta, tails=CLEAN)
     x = np.array([theta[i] for i in (*model.indices, 0)]) + 0.0

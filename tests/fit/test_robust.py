@@ -13,7 +13,7 @@ from scipy.stats import norm
 
 from calib.core.errors import EstimationError
 from calib.fit.noise import CLEAN, ROBUST, Tails, log_density, row_noise
-from calib.fit.priors import Measured, Priors
+from calib.fit.priors import MeasuredParameters, Priors
 from calib.fit.robust import fit_model, fit_robust
 from calib.geometry.misclosure import misclosure
 from calib.geometry.parameters import MODELS
@@ -161,7 +161,7 @@ def test_shared_errors_enter_the_covariance() -> None:
 def test_measured_eccentricity_separates_it_from_the_baseline() -> None:
     """Simulated truth: what the yaw sweep brings."""
     rows, theta = simulated(np.random.default_rng(8), count=14, eccentricity_mm=5.0)
-    measured = Measured(("eccentricity_mm",), np.array([5.1]), np.array([[0.2**2]]))
+    measured = MeasuredParameters(("eccentricity_mm",), np.array([5.1]), np.array([[0.2**2]]))
     alone = fit_robust(rows, OFFSET, NO_PRIORS)
     fit = fit_robust(rows, OFFSET, Priors({}, measured))
     std = np.sqrt(np.diag(fit.covariance))

@@ -17,7 +17,7 @@ from calib.geometry.plane import OBSERVABLE, Gaze, depth, gaze_at
 from calib.instrument.calibrated import build_instrument
 from calib.rows.from_table import RowSettings, Setup
 from calib.rows.observations import Observations
-from calib.simulate.rig import Rig, c2_pose, draw_rig
+from calib.simulate.rig import TrueRig, c2_pose, draw_rig
 from calib.simulate.tables import draw_targets, rays_in_c2
 from calib.uncertainty.measurement import (
     Instrument,
@@ -38,13 +38,13 @@ TILTS = {"axis_tilt_x_rad": 0.02, "axis_tilt_z_rad": -0.015, "gaze_roll_rad": 0.
 WIDE_OFF_RAD = float(np.deg2rad(2.0))
 
 
-def rig_with(**parameters: float) -> Rig:
+def rig_with(**parameters: float) -> TrueRig:
     rig = draw_rig(np.random.default_rng(0), model="base")
     return replace(rig, theta=vector(TRUTH | parameters), pitch_rad=0.0, height_mm=4.0)
 
 
 def rows_off_centre(
-    rig: Rig, rng: np.random.Generator, *, count: int, off_rad: float, noise: float = 1.0
+    rig: TrueRig, rng: np.random.Generator, *, count: int, off_rad: float, noise: float = 1.0
 ) -> Observations:
     """Rows whose targets C2 sees up to `off_rad` beside its centre column, from its pose alone."""
     points = draw_targets(rig, rng, count=count, depth_range_mm=(600, 1400))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from plate_pictures import CORNER, camera, drawn_pose, picture, true_pixel
 
-from calib.gaze.edges import Line, crossing
+from calib.gaze.edges import EdgeLine, crossing
 from calib.gaze.plate import CORNERS, LEAST_EDGE_PX, PlateCorner
 
 
@@ -74,7 +74,7 @@ def test_the_covariance_of_a_crossing() -> None:
         places.append([x, a * x + b])
     variance, spread = scatter**2 / len(s), float(((s - s.mean()) ** 2).sum())
     lines = [
-        Line(np.array(point), np.array(along), variance, spread, scatter, 100, 0.0, len(s))
+        EdgeLine(np.array(point), np.array(along), variance, spread, scatter, 100, 0.0, len(s))
         for point, along in (([80.0, 0.0], [1.0, 0.0]), ([0.0, 80.0], [0.0, 1.0]))
     ]
     place, covariance = crossing(*lines)

@@ -7,8 +7,8 @@ import pytest
 from test_targets import BOARD, imager, on_board
 
 from calib.gaze import follow
-from calib.gaze.row import Noise, Seen, make_row, refuse_moved, refuse_unsteady
-from calib.gaze.target import Sighting
+from calib.gaze.row import SeenTarget, TargetScatter, make_row, refuse_moved, refuse_unsteady
+from calib.gaze.target import TargetObservation
 from calib.rig.protocols import Frame, Refused, Standstill
 from calib.simulate.render import render
 
@@ -16,8 +16,9 @@ NOTHING = np.zeros((4, 4), np.uint8)
 
 
 def seen(at, *, exposed_ns=2_000, serial=0, floor=0.025):
-    return Seen(
-        Frame(NOTHING, exposed_ns, "trigger", serial), Sighting(np.array(at, float), floor, 20.0)
+    return SeenTarget(
+        Frame(NOTHING, exposed_ns, "trigger", serial),
+        TargetObservation(np.array(at, float), floor, 20.0),
     )
 
 
@@ -30,7 +31,13 @@ def standing():
 
 
 def test_a_picture_from_before_the_standstill_makes_no_row():
-    parts = {"c1": [seen((1, 1))], "noise_c1": Noise(), "noise_c2": Noise(), "moves": 1, "looks": 0}
+    parts = {
+        "c1": [seen((1, 1))],
+        "noise_c1": TargetScatter(),
+        "noise_c2": TargetScatter(),
+        "moves": 1,
+        "looks": 0,
+    }
     assert make_row(standing(), c2=[seen((1, 1))], **parts).moves == 1
     with pytest.raises(Refused, match=r"exposed 0\.0 ms before it stood still"):
         make_row(standing(), c2=[seen((1, 1)), seen((1, 1), exposed_ns=999)], **parts)
@@ -38,14 +45,14 @@ def test_a_picture_from_before_the_standstill_makes_no_row():
 
 def test_the_uncertainty_is_that_of_repeats_and_never_below_the_floor():
     rng = np.random.default_rng(1)
-    noise = Noise()
+    noise = TargetScatter()
     assert noise.std_px == pytest.approx(0.05)
     for _ in range(100):
         noise = noise.after(scattered(rng, 4, 0.03))
     assert noise.std_px == pytest.approx(0.03, rel=0.1)
     row = make_row(
         standing(), c1=scattered(rng, 4, 0.0), c2=scattered(rng, 4, 0.03),
-        noise_c1=Noise(1e-9, 100), noise_c2=noise, moves=1, looks=0,
+        noise_c1=TargetScatter(1e-9, 100), noise_c2=noise, moves=1, looks=0,
     )  # fmt: skip
     assert row.u_c1_px == pytest.approx(0.025, rel=1e-3)
     assert row.u_c2_px == pytest.approx(np.hypot(0.025, noise.std_px / 2))
@@ -53,7 +60,7 @@ def test_the_uncertainty_is_that_of_repeats_and_never_below_the_floor():
 
 def test_a_target_at_rest_passes_and_one_that_moved_does_not():
     rng = np.random.default_rng(2)
-    noise = Noise(0.03**2 * 100, 100)
+    noise = TargetScatter(0.03**2 * 100, 100)
     refused = 0
     for _ in range(200):
         try:

@@ -13,10 +13,10 @@ import pytest
 from calib.cli.compare import add_arguments, run
 from calib.core.errors import UsageError
 from calib.dataset.tables import GazeTable
-from calib.history.drift import FAMILY_RISK, Run, drift
+from calib.history.drift import FAMILY_RISK, ComparedRun, drift
 from calib.history.output import html, tables, text
 from calib.instrument.calibration_file import Measuring
-from calib.rows.common_errors import Shared
+from calib.rows.common_errors import CommonErrors
 from calib.rows.from_table import CameraSet, RowSettings, Setup
 from calib.rows.sketch import sketch
 from calib.uncertainty.measurement import Instrument, ParameterKnowledge, ReadingSpread
@@ -30,16 +30,16 @@ CORRELATION[0, 3] = CORRELATION[3, 0] = -0.998
 COVARIANCE = CORRELATION * np.outer(STD, STD)
 
 
-def made(values: np.ndarray, name: str = "run", model: str = "axis-offset") -> Run:
+def made(values: np.ndarray, name: str = "run", model: str = "axis-offset") -> ComparedRun:
     knowledge = ParameterKnowledge(NAMES, values, COVARIANCE, None, ("A",) * 4)
     measuring = Measuring(
         instrument=Instrument(knowledge, ReadingSpread()),
-        setup=Setup(RowSettings(0, 0, 0, 0, 0), CameraSet(), Shared()),
+        setup=Setup(RowSettings(0, 0, 0, 0, 0), CameraSet(), CommonErrors()),
         noise_factor=1.0,
         calibrated_mm=(600.0, 1400.0),
         factor95=1.96,
     )
-    return Run(name, "rig", model, measuring, {"eccentricity_mm": "prior"}, {"loo": 12.0})
+    return ComparedRun(name, "rig", model, measuring, {"eccentricity_mm": "prior"}, {"loo": 12.0})
 
 
 def test_a_rig_that_has_not_changed_is_called_so() -> None:

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from calib.history import entry
-from calib.history.entry import Entry, read_entry
+from calib.history.entry import IndexEntry, read_entry
 from calib.history.index import history, rigs, update
 from calib.history.scan import scan
 from calib.history.summary import notes
@@ -84,7 +84,7 @@ def test_files_as_they_were_are_not_read_again(
     top, index = fleet(tmp_path / "runs", of=2, each=3), tmp_path / "i.sqlite"
     read: list[str] = []
 
-    def reading(folder: Path) -> Entry:
+    def reading(folder: Path) -> IndexEntry:
         read.append(folder.name)
         return read_entry(folder)
 

@@ -16,7 +16,7 @@ from calib.core.errors import InputError
 from calib.geometry.parameters import vector
 from calib.geometry.plane import gaze_at
 from calib.history.causes import CAUSES
-from calib.history.certified import Depth, Length, Standard
+from calib.history.certified import CertifiedDepth, CertifiedLength, Standard
 from calib.history.read_standard import read_standard
 from calib.history.standard import check_standard
 from calib.history.standard_text import alarm, findings, notes
@@ -42,10 +42,12 @@ def standard() -> Standard:
         format=1,
         serial="bar-3",
         length=(
-            Length(between=("A", "B"), length_mm=distance("A", "B"), u_mm=0.02),
-            Length(between=("C", "D"), length_mm=distance("C", "D"), u_mm=0.02),
+            CertifiedLength(between=("A", "B"), length_mm=distance("A", "B"), u_mm=0.02),
+            CertifiedLength(between=("C", "D"), length_mm=distance("C", "D"), u_mm=0.02),
         ),
-        depth=tuple(Depth(target=n, z_mm=TARGETS[n][2], u_mm=0.05) for n in ("A", "B", "C", "D")),
+        depth=tuple(
+            CertifiedDepth(target=n, z_mm=TARGETS[n][2], u_mm=0.05) for n in ("A", "B", "C", "D")
+        ),
     )
 
 

@@ -11,7 +11,7 @@ from calib.core.arrays import FloatArray
 from calib.geometry.board import Board, Corners
 from calib.geometry.camera import Camera
 from calib.images.bundle import deformed
-from calib.simulate.rig import Rig, c2_pose
+from calib.simulate.rig import TrueRig, c2_pose
 
 BOARD = Board("chessboard", 9, 6, 30.0, (4, 3))
 
@@ -120,7 +120,7 @@ class Sweep:
 
 def sweep(
     rng: np.random.Generator,
-    rig: Rig,
+    rig: TrueRig,
     *,
     readings: FloatArray,
     depths: tuple[float, ...] = (700.0, 1000.0),

@@ -14,8 +14,8 @@ from calib.geometry.parameters import PARAMETERS, EncoderTerm
 from calib.images.adjustment.gather import Rows, Swept, Taken
 from calib.images.bundle import deformed
 from calib.images.stereo.solve import CameraPair
-from calib.simulate.contents import SimulationOptions, Table
-from calib.simulate.rig import Rig, draw_rig, draw_wide_camera, mirror_rig
+from calib.simulate.contents import CsvTable, SimulationOptions
+from calib.simulate.rig import TrueRig, draw_rig, draw_wide_camera, mirror_rig
 from calib.simulate.scene import IntrinsicViews, SweepPlan, fitting_board
 from calib.simulate.session import draw_image_session
 from tests.images import board_scenes as scenes
@@ -46,7 +46,7 @@ class Layout:
 class Pictured:
     """Exact corners of a session, what is known of it, and how far the boards stand, mm."""
 
-    rig: Rig
+    rig: TrueRig
     board: Board
     taken: Taken
     exact: dict[str, FloatArray] = field(repr=False)
@@ -89,7 +89,7 @@ class Pictured:
 
 def everything(
     rng: np.random.Generator, *, is_left: bool = False, c1_field_deg: float | None = None
-) -> Rig:
+) -> TrueRig:
     """A rig with all errors that the model has, the encoder's drawn from their priors."""
     encoder = {
         p.name: float(rng.normal(0, p.prior_std))
@@ -104,7 +104,7 @@ def everything(
 
 
 def session(
-    rng: np.random.Generator, rig: Rig, layout: Layout = Layout(), *, bow_mm=(0.3, -0.2)
+    rng: np.random.Generator, rig: TrueRig, layout: Layout = Layout(), *, bow_mm=(0.3, -0.2)
 ) -> Pictured:
     """Draw where boards stand, and their exact corners on a board that is bowed."""
     options = SimulationOptions(
@@ -154,5 +154,5 @@ def session(
     return Pictured(rig, board, taken, exact, cameras, distance)
 
 
-def _columns(table: Table) -> dict[str, tuple[Any, ...]]:
+def _columns(table: CsvTable) -> dict[str, tuple[Any, ...]]:
     return dict(zip(table.columns, zip(*table.rows, strict=True), strict=True))

@@ -21,13 +21,13 @@ from calib.images.adjustment.mounting import HEIGHT, PITCH, RIG, pose_by_rig, po
 from calib.images.adjustment.result import AdjustedModel, Adjustment, adjust
 from calib.images.adjustment.solve import solve
 from calib.images.joint.reduced import Unknowns, eliminated
-from calib.simulate.rig import Rig, c2_pose, draw_rig
+from calib.simulate.rig import TrueRig, c2_pose, draw_rig
 
 SIGMA_PX = 0.1
 EVERYTHING = Layout()
 
 
-def unknowns_of(rig: Rig) -> FloatArray:
+def unknowns_of(rig: TrueRig) -> FloatArray:
     """The truth in the order of `RIG`."""
     mount = {HEIGHT: rig.height_mm, PITCH: rig.pitch_rad}
     return np.array([rig.theta[INDEX[n]] if n in INDEX else mount[n] for n in RIG])
@@ -45,7 +45,7 @@ def adjusted(
     return adjust(*corners, pictured.taken, pictured.board, pair)
 
 
-def statistic(model: AdjustedModel, rig: Rig) -> float:
+def statistic(model: AdjustedModel, rig: TrueRig) -> float:
     """Squared distance of the parameters from the truth in their own covariance."""
     error = model.values - rig.theta[[INDEX[name] for name in model.names]]
     scale = np.sqrt(np.diag(model.covariance))
@@ -53,7 +53,7 @@ def statistic(model: AdjustedModel, rig: Rig) -> float:
     return float(error / scale @ np.linalg.solve(correlation, error / scale))
 
 
-def pulls(model: AdjustedModel, rig: Rig) -> FloatArray:
+def pulls(model: AdjustedModel, rig: TrueRig) -> FloatArray:
     error = model.values - rig.theta[[INDEX[name] for name in model.names]]
     return error / np.sqrt(np.diag(model.covariance))
 
@@ -89,7 +89,7 @@ def test_gradient_and_normals_are_those_of_central_differences() -> None:
         pair,
     )
     shared = start.shared.copy()
-    shared[problem.at_bow] = 0.4, -0.2
+    shared[problem.at_warp] = 0.4, -0.2
     shared[problem.at_rig] = unknowns_of(pictured.rig) * 1.001
     shared[problem.at_held] = 0.3
     at = Unknowns(shared, start.own)

@@ -93,9 +93,9 @@ def test_a_joint_solve_counts_the_print_too(monkeypatch: pytest.MonkeyPatch) -> 
         off = np.pad(rng.normal(0, PRINT_MM, (54, 2)), ((0, 0), (0, 1)))
 
         def printed(
-            points: FloatArray, bow: tuple[float, float] | None, off: FloatArray = off
+            points: FloatArray, warp: tuple[float, float] | None, off: FloatArray = off
         ) -> FloatArray:
-            return drawn(points, bow) + off
+            return drawn(points, warp) + off
 
         with monkeypatch.context() as patch:
             for module in (scene_of_pairs, board_scenes):

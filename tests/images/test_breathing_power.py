@@ -16,7 +16,7 @@ from calib.core.arrays import FloatArray
 from calib.images.joint.changes import focal_changes
 from calib.images.joint.solve import JointSolve
 from calib.images.stereo.gates import lens_gates
-from calib.images.stereo.triangulate import Targets, find_targets
+from calib.images.stereo.triangulate import PairTargets, find_targets
 
 DRAWS = 20
 PAIR_SIGMA_PX = 0.08
@@ -30,7 +30,7 @@ def pair_pixels(joint: JointSolve) -> FloatArray:
     return np.stack([images.pixels[pairs & (images.camera == c)] for c in (0, 1)])
 
 
-def targets(joint: JointSolve) -> Targets:
+def targets(joint: JointSolve) -> PairTargets:
     pixels = pair_pixels(joint)
     return find_targets(
         pixels,

@@ -14,7 +14,7 @@ from calib.core.errors import EstimationError, InputError
 from calib.geometry.board import Corners
 from calib.geometry.camera import intrinsic_vector
 from calib.images.intrinsics.calibrate import Intrinsics, calibrate_intrinsics
-from calib.images.intrinsics.gates import LeftOut, intrinsics_gates, orientation_fault
+from calib.images.intrinsics.gates import LeftOutPictures, intrinsics_gates, orientation_fault
 
 TRUTH = intrinsic_vector(scenes.CAMERA)
 FOCAL = 540.0
@@ -173,7 +173,7 @@ def test_a_few_pictures_left_out_fail_no_gate_and_many_do(
     residuals = np.full((20, 54, 2), 0.1)
     residuals[:out] = np.nan
     fit = replace(good.selected, residuals=residuals, rejected=54 * out)
-    left_out = LeftOut(tuple(f"{i:02}.png" for i in range(out)), 54 * out)
+    left_out = LeftOutPictures(tuple(f"{i:02}.png" for i in range(out)), 54 * out)
     gates = intrinsics_gates(
         "c1", fit, good.coverage, good.validation, agreement=None, left_out=left_out
     )

@@ -27,9 +27,9 @@ TRUTH = intrinsic_vector(scenes.CAMERA)
 SIGMA_PX = 0.1
 
 
-def own_fit(found: Corners, *, bow: bool = True) -> LensFit:
+def own_fit(found: Corners, *, warp: bool = True) -> LensFit:
     start = equidistant_start(found, POINTS)
-    return fit_views(found, POINTS, start=start, lens="equidistant", bow=bow)
+    return fit_views(found, POINTS, start=start, lens="equidistant", warp=warp)
 
 
 @pytest.fixture(scope="module")
@@ -115,7 +115,7 @@ def test_narrow_lens_is_not_tried_even_with_a_spoilt_picture() -> None:
 def test_derivatives_agree_with_differences(found: Corners) -> None:
     fit = own_fit(found)
     used = np.isfinite(found.pixels).all(axis=-1)
-    problem = Views(fit.camera, POINTS, found.pixels, used, bow=True)
+    problem = Views(fit.camera, POINTS, found.pixels, used, warp=True)
     assert fit.board_warp_mm is not None
     x = np.concatenate([intrinsic_vector(fit.camera), fit.board_warp_mm])
     normals = problem.normals_at(Unknowns(x, fit.poses))

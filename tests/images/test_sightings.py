@@ -9,7 +9,7 @@ import pytest
 from calib.core.arrays import FloatArray
 from calib.dataset.tables import GazeTable
 from calib.geometry.board import Corners
-from calib.rows.common_errors import Shared
+from calib.rows.common_errors import CommonErrors
 from calib.rows.from_images import LEAST_PX, CornerNoise, observe_images
 from calib.rows.from_table import U_PIXEL, CameraSet, ImageObservations
 
@@ -50,7 +50,7 @@ def seen(
         c1,
         c2,
         None,
-        Shared(),
+        CommonErrors(),
         CornerNoise(stated, stated),
         cameras,
     )

@@ -111,7 +111,7 @@ def test_covariance_is_mrcals_own(exact: scenes.Pairs) -> None:
     rng = np.random.default_rng(2)
     start = start_pairs(noisy(rng, exact), scenes.BOARD, cameras=KNOWN.cameras)
     ours = solve_mrcal(start, scenes.BOARD, KNOWN, seed=0)
-    held = mrcal_process.Start(
+    held = mrcal_process.StartingPoint(
         np.stack([intrinsic_vector(c) for c in KNOWN.cameras]),
         invert_pose(start.pose_12, np.zeros((6, 6)))[0][None],
         start.poses,
@@ -256,9 +256,9 @@ def test_a_flat_board_has_no_bow_of_minus_nought() -> None:
     reference = stereo_reference(
         (found[0], found[1]), scenes.BOARD, KNOWN, stems=scene.c1.images, seed=0
     )
-    bow = reference.solves[0].board_warp_mm
-    assert bow is not None
-    assert -0.005 < min(bow) < 0
+    warp = reference.solves[0].board_warp_mm
+    assert warp is not None
+    assert -0.005 < min(warp) < 0
     agreement = next(g for g in reference.gates if g.name == "stereo-backends")
     assert "deformed by 0.00 mm along x and 0.00 mm along y" in agreement.detail
 

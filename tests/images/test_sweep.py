@@ -21,7 +21,7 @@ from calib.images.bundle import sum_blocks
 from calib.images.sweep.model import AXIS, ENCODER, SweepProblem, blocks_of, residuals_of
 from calib.images.sweep.solve import SweepReadings, solve_sweep
 from calib.images.sweep.yaw_axis import NAMES, SweepResult, yaw_sweep
-from calib.simulate.rig import Rig, c2_pose, draw_rig, yaw_axis_in_c2
+from calib.simulate.rig import TrueRig, c2_pose, draw_rig, yaw_axis_in_c2
 
 SIGMA_PX = 0.1
 LENS_STD = np.array([0.4, 0.4, 0.5, 0.5, 0.004, 0.02, 1e-4, 1e-4, 0.03])
@@ -35,7 +35,7 @@ def unchanged(found: Corners, shown: SweepReadings) -> tuple[Corners, SweepReadi
     return found, shown
 
 
-def drawn_rig(rng: np.random.Generator) -> Rig:
+def drawn_rig(rng: np.random.Generator) -> TrueRig:
     """A rig with every error that a sweep can meet, the encoder's drawn from their priors."""
     encoder = {p.name: rng.normal(0, p.prior_std) for p, _ in ENCODER if p.prior_std}
     return draw_rig(rng, model="axis-tilt", fixed=encoder)
@@ -43,7 +43,7 @@ def drawn_rig(rng: np.random.Generator) -> Rig:
 
 def solve(
     rng: np.random.Generator,
-    rig: Rig,
+    rig: TrueRig,
     *,
     readings: FloatArray = WIDE,
     sigma_px: float = SIGMA_PX,
@@ -67,7 +67,7 @@ def solve(
     )
 
 
-def true_values(rig: Rig, names: tuple[str, ...]) -> FloatArray:
+def true_values(rig: TrueRig, names: tuple[str, ...]) -> FloatArray:
     return rig.theta[[INDEX[name] for name in names]]
 
 

@@ -26,22 +26,22 @@ from calib.instrument.adjusted import (
     choose,
     refuse_missing,
 )
-from calib.rows.common_errors import Shared
+from calib.rows.common_errors import CommonErrors
 from calib.rows.from_table import direction_by_common
 from calib.rows.observations import Observations
-from calib.simulate.rig import Rig
+from calib.simulate.rig import TrueRig
 from calib.simulate.tables import draw_targets, observe
 from tests.images.rig_sessions import everything, session
 
 COUNT = 30
 FEW = 8
-ALONE = Shared()
+ALONE = CommonErrors()
 """Rows that have no estimated quantity in common with the pictures."""
 
 
 @dataclass(frozen=True)
 class Scene:
-    rig: Rig
+    rig: TrueRig
     adjustment: Adjustment
 
     def rows(self, seed: int) -> Observations:
@@ -161,7 +161,7 @@ def test_lenses_that_rows_and_parameters_have_in_common_count_once(scene: Scene)
         with_lens=by_lens @ lens,
         covariance=record.covariance + by_lens @ (lens - record.lens_covariance) @ by_lens.T,
     )
-    shared = Shared.of(record.lens_names, lens)
+    shared = CommonErrors.of(record.lens_names, lens)
     theta = scene.rig.theta[[INDEX[name] for name in record.names]]
     joint = np.block([[record.covariance, record.with_lens], [record.with_lens.T, lens]])
     unit = np.sqrt(np.diag(joint))

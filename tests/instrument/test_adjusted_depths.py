@@ -20,11 +20,11 @@ from calib.geometry.poses import rotation
 from calib.images.adjustment.gates import adjustment_gates
 from calib.images.adjustment.gather import gather
 from calib.images.adjustment.mounting import RIG
-from calib.images.adjustment.problem import Problem
-from calib.images.adjustment.solve import Solution, solve
+from calib.images.adjustment.problem import AdjustmentProblem
+from calib.images.adjustment.solve import AdjustmentSolution, solve
 from calib.images.joint.changes import focal_changes
 from calib.images.stereo.gates import lens_gates
-from calib.simulate.rig import Rig, draw_rig
+from calib.simulate.rig import TrueRig, draw_rig
 from tests.images.rig_sessions import Layout, Pictured, session
 
 RIGS = 20
@@ -155,7 +155,7 @@ class Targets:
     pixels: tuple[FloatArray, FloatArray]
     readings_rad: FloatArray
 
-    def depth_by(self, problem: Problem, x: FloatArray) -> FloatArray:
+    def depth_by(self, problem: AdjustmentProblem, x: FloatArray) -> FloatArray:
         one, two = (
             normalise(problem.camera_at(x, c), pixels) for c, pixels in enumerate(self.pixels)
         )
@@ -165,7 +165,7 @@ class Targets:
         gaze = Gaze(one[:, 0], one[:, 1], self.readings_rad, np.arctan(two[:, 0]))
         return depth(theta, gaze)
 
-    def slope(self, found: Solution) -> FloatArray:
+    def slope(self, found: AdjustmentSolution) -> FloatArray:
         """Return the derivative of the depths by the shared unknowns, by differences, (n, s)."""
         x, std = found.reduced.at.shared, np.sqrt(np.diag(found.reduced.spread()))
         columns = []
@@ -178,7 +178,7 @@ class Targets:
         return np.stack(columns, axis=1)
 
 
-def targets(rig: Rig, breathing: Breathing, how: Spoilt) -> Targets:
+def targets(rig: TrueRig, breathing: Breathing, how: Spoilt) -> Targets:
     z = np.linspace(*rig.depth_range_mm, TARGETS)
     points = np.stack([0.12 * z * np.linspace(1, -1, TARGETS), 0 * z, z], axis=1)
     turned = points @ rotation(np.array([0, how.turn_rad * how.after, 0])).T

@@ -13,7 +13,7 @@ from calib.geometry.parameters import vector
 from calib.geometry.plane import OBSERVABLE, Gaze, gaze_at
 from calib.mirror.instruments import mirror_budget, mirror_instrument
 from calib.mirror.problem import Mirror
-from calib.rows.common_errors import Shared
+from calib.rows.common_errors import CommonErrors
 from calib.rows.from_table import direction_by_common
 from calib.uncertainty.depth import depth_budget
 from calib.uncertainty.measurement import (
@@ -42,11 +42,11 @@ def _covariance(size: int, seed: int) -> FloatArray:
     return covariance
 
 
-def _shared(camera: Camera, covariance: FloatArray) -> Shared:
-    return Shared.of(tuple(f"c1.{name}" for name in intrinsic_names(camera)), covariance)
+def _shared(camera: Camera, covariance: FloatArray) -> CommonErrors:
+    return CommonErrors.of(tuple(f"c1.{name}" for name in intrinsic_names(camera)), covariance)
 
 
-def _instrument(shared: Shared) -> Instrument:
+def _instrument(shared: CommonErrors) -> Instrument:
     unit = np.array([0.5, 5e-4, 2.0, 1.0])
     count = shared.factor.shape[1]
     by_shared = unit[:, None] * np.random.default_rng(7).normal(size=(4, count + 1)) / 3
@@ -62,7 +62,7 @@ def _instrument(shared: Shared) -> Instrument:
     return Instrument(parameters, reading, sources)
 
 
-def _loadings(gaze: Gaze, camera: Camera, shared: Shared) -> FloatArray:
+def _loadings(gaze: Gaze, camera: Camera, shared: CommonErrors) -> FloatArray:
     loadings = np.zeros((len(gaze), OBSERVABLE.z, shared.factor.shape[1]))
     xy = np.stack([gaze.x1c, gaze.y1c], axis=1)
     loadings[:, : OBSERVABLE.alpha2] = direction_by_common(xy, camera, shared)

@@ -13,7 +13,7 @@ from calib.geometry.parameters import MODELS, vector
 from calib.plan.advise import advise, regular
 from calib.plan.design import (
     Knowledge,
-    Noise,
+    RowNoise,
     choose,
     d_criterion,
     depth_vectors,
@@ -25,7 +25,7 @@ from calib.plan.design import (
 from calib.plan.field import Field, field_of
 
 FIELD = Field((-0.5, 0.5), (-0.4, 0.4), float("inf"), (np.deg2rad(40.0), np.deg2rad(140.0)))
-NOISE = Noise(np.array([2e-4, 2e-4, 3e-4, 0.0]), z_mm=0.0, z_rel=0.002)
+NOISE = RowNoise(np.array([2e-4, 2e-4, 3e-4, 0.0]), z_mm=0.0, z_rel=0.002)
 
 
 def knowledge(model: str = "axis-offset") -> Knowledge:

@@ -20,7 +20,7 @@ from calib.cli.plan import add_arguments, run
 from calib.core.errors import EstimationError, UsageError
 from calib.dataset.contents import Dataset
 from calib.dataset.load import load_dataset
-from calib.fit.priors import Measured
+from calib.fit.priors import MeasuredParameters
 from calib.plan.prepare import prepare
 from calib.plan.prior_knowledge import PriorKnowledge, from_images
 from calib.stages.store import Store
@@ -205,7 +205,7 @@ def test_rows_from_images_are_those_of_the_rig(seen: tuple[Dataset, PriorKnowled
 def test_the_sweep_is_part_of_what_is_known(seen: tuple[Dataset, PriorKnowledge]) -> None:
     """Property: e is then known as well as the sweep knows it, or better."""
     dataset, bare = seen
-    measured = Measured(("eccentricity_mm",), np.array([3.0]), np.array([[0.1**2]]))
+    measured = MeasuredParameters(("eccentricity_mm",), np.array([3.0]), np.array([[0.1**2]]))
     known = [
         prepare(
             dataset, prior_knowledge, model="axis-offset", asked_mm=np.array([1000.0]),

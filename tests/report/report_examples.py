@@ -34,7 +34,7 @@ from calib.images.intrinsics.validate import CrossValidation
 from calib.images.result import ImageResult
 from calib.images.stereo.reference import StereoReference
 from calib.images.stereo.solve import StereoSolve
-from calib.images.stereo.triangulate import Positions, Targets
+from calib.images.stereo.triangulate import PairPositions, PairTargets
 from calib.images.sweep.yaw_axis import SweepResult
 from calib.report.context import ReportContext, report_context
 from calib.results.calibration import Calibration
@@ -198,13 +198,13 @@ def stereo(rng: np.random.Generator) -> StereoReference:
         baseline_std_mm=0.05,
         rms_px=0.11,
         solves=solves,
-        targets=Targets(
+        targets=PairTargets(
             stems=stems,
-            triangulated=Positions(place, spread, by_shared, miss),
+            triangulated=PairPositions(place, spread, by_shared, miss),
             shared_names=("a", "b"),
             shared_covariance=np.eye(2),
             depth_std_mm=np.linspace(1.0, 2.0, VIEWS),
-            by_board=Positions(place + rng.normal(0, 1, place.shape), spread, by_shared, miss),
+            by_board=PairPositions(place + rng.normal(0, 1, place.shape), spread, by_shared, miss),
             board_sigmas=rng.normal(0, 1, VIEWS),
         ),
         gates=(Gate("stereo-fit", passed=True, detail="rms 0.11 px"),),

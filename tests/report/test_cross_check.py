@@ -12,18 +12,18 @@ from calib.checks.stereo_pose import FREE_SHIFT_MM, FREE_TURN_RAD, YawCheck, che
 from calib.core.arrays import FloatArray
 from calib.geometry.parameters import INDEX, MODELS
 from calib.geometry.poses import pose_vector, rotation
-from calib.simulate.rig import Rig, c2_pose, draw_rig
+from calib.simulate.rig import TrueRig, c2_pose, draw_rig
 
 READING = 1.4
 COVARIANCE = np.diag([1e-4, 1e-4, 1e-5, 0.02, 0.02, 0.1]) ** 2
 
 
 @pytest.fixture(params=range(3))
-def rig(request: pytest.FixtureRequest) -> Rig:
+def rig(request: pytest.FixtureRequest) -> TrueRig:
     return draw_rig(np.random.default_rng(request.param), model="axis-tilt")
 
 
-def checked(rig: Rig, pose_12: FloatArray, *, std: float = 1e-4) -> YawCheck:
+def checked(rig: TrueRig, pose_12: FloatArray, *, std: float = 1e-4) -> YawCheck:
     """Check the true rig, its parameters known to `std` in rad and mm, against a pose of C2."""
     found = paper()[0].gaze
     assert found is not None
@@ -39,14 +39,14 @@ def checked(rig: Rig, pose_12: FloatArray, *, std: float = 1e-4) -> YawCheck:
     )
 
 
-def test_the_true_pose_fits_whatever_the_mount(rig: Rig) -> None:
+def test_the_true_pose_fits_whatever_the_mount(rig: TrueRig) -> None:
     check = checked(rig, pose_vector(c2_pose(rig, np.array(READING))))
     assert check.turn_rad == pytest.approx(0, abs=1e-9)
     assert check.shift_mm == pytest.approx(0, abs=1e-7)
     assert yaw_warnings(check) == ()
 
 
-def test_another_reading_is_named_with_its_size(rig: Rig) -> None:
+def test_another_reading_is_named_with_its_size(rig: TrueRig) -> None:
     check = checked(rig, pose_vector(c2_pose(rig, np.array(READING + np.deg2rad(1.0)))))
     assert check.turn_rad == pytest.approx(np.deg2rad(1.0), rel=1e-6)
     assert check.shift_mm == pytest.approx(0, abs=1e-7)
@@ -54,7 +54,7 @@ def test_another_reading_is_named_with_its_size(rig: Rig) -> None:
     assert "turned +1.00 deg" in text
 
 
-def test_a_bumped_camera_is_named_by_turn_and_shift(rig: Rig) -> None:
+def test_a_bumped_camera_is_named_by_turn_and_shift(rig: TrueRig) -> None:
     pose = pose_vector(c2_pose(rig, np.array(READING)))
     pose[3:] += 2.0 * rotation(pose[:3])[:, 0]
     check = checked(rig, pose)
@@ -63,7 +63,7 @@ def test_a_bumped_camera_is_named_by_turn_and_shift(rig: Rig) -> None:
     assert "+2.00 mm farther" in text
 
 
-def test_limits_are_five_standard_deviations_of_both_and_never_below_play(rig: Rig) -> None:
+def test_limits_are_five_standard_deviations_of_both_and_never_below_play(rig: TrueRig) -> None:
     pose = pose_vector(c2_pose(rig, np.array(READING)))
     sharp = checked(rig, pose, std=1e-9)
     assert sharp.turn_limit_rad >= FREE_TURN_RAD

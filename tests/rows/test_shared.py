@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.rows.common_errors import Shared
+from calib.rows.common_errors import CommonErrors
 
 NAMES = ("c1.fx", "c1.cx", "c2.fx", "c2.cx", "r12.x", "t12.x", "t12.z")
 SOURCES = {
@@ -29,7 +29,7 @@ def in_units(matrix: np.ndarray) -> np.ndarray:
 
 def test_of_full_rank_it_is_the_cholesky_factor() -> None:
     known = covariance(20)
-    shared = Shared.of(NAMES, known)
+    shared = CommonErrors.of(NAMES, known)
     assert shared.names == NAMES
     assert shared.error_names == tuple(SOURCES[n.split(".")[0]] for n in NAMES)
     np.testing.assert_allclose(
@@ -40,7 +40,7 @@ def test_of_full_rank_it_is_the_cholesky_factor() -> None:
 @pytest.mark.parametrize("rank", [1, 2, 3, 5, 7])
 def test_of_any_rank_it_gives_the_covariance_back(rank: int) -> None:
     known = covariance(rank)
-    shared = Shared.of(NAMES, known)
+    shared = CommonErrors.of(NAMES, known)
     assert shared.factor.shape == (7, rank)
     np.testing.assert_allclose(
         in_units(shared.factor @ shared.factor.T), in_units(known), atol=1e-12
@@ -51,7 +51,7 @@ def test_of_any_rank_it_gives_the_covariance_back(rank: int) -> None:
 
 
 def test_an_error_moves_its_own_quantity_and_those_after_it() -> None:
-    shared = Shared.of(NAMES, covariance(20))
+    shared = CommonErrors.of(NAMES, covariance(20))
     assert np.all(np.triu(shared.factor, 1) < 1e-12 * UNIT[:, None])
     # Of C2's intrinsics given C1's: the Schur complement.
     known = covariance(20)
@@ -67,7 +67,7 @@ def test_a_singular_part_begins_no_error_and_loses_nothing() -> None:
     turn = np.eye(7)
     turn[1] = [0.15, 0, 0, 0, 0, 0, 0]
     known = turn @ known @ turn.T
-    shared = Shared.of(NAMES, known)
+    shared = CommonErrors.of(NAMES, known)
     assert [shared.error_names.count(n) for n in dict.fromkeys(SOURCES.values())] == [1, 2, 3]
     np.testing.assert_allclose(
         in_units(shared.factor @ shared.factor.T), in_units(known), atol=1e-12
@@ -79,7 +79,7 @@ def test_a_nearly_singular_covariance_keeps_its_small_directions() -> None:
     rng = np.random.default_rng(4)
     turn = np.linalg.qr(rng.normal(size=(7, 7)))[0]
     known = turn @ np.diag([1, 1e-2, 1e-4, 1e-6, 1e-8, 1e-9, 1e-10]) @ turn.T
-    shared = Shared.of(NAMES, known)
+    shared = CommonErrors.of(NAMES, known)
     for size, direction in zip([1e-4, 1e-6, 1e-8], turn.T[2:5], strict=True):
         found = float(np.sum((direction @ shared.factor) ** 2))
         assert found == pytest.approx(size, rel=1e-4)
@@ -88,10 +88,10 @@ def test_a_nearly_singular_covariance_keeps_its_small_directions() -> None:
 def test_known_quantities_and_empty_covariances_have_no_errors() -> None:
     known = covariance(20)
     known[:, 4:], known[4:] = 0.0, 0.0
-    shared = Shared.of(NAMES, known)
+    shared = CommonErrors.of(NAMES, known)
     assert shared.names == NAMES[:4]
     assert "pose of C2 (stereo reference)" not in shared.error_names
-    assert Shared.of(NAMES, np.zeros((7, 7))).names == ()
+    assert CommonErrors.of(NAMES, np.zeros((7, 7))).names == ()
 
 
 def test_rounding_of_the_covariance_does_not_turn_the_factor() -> None:
@@ -99,9 +99,9 @@ def test_rounding_of_the_covariance_does_not_turn_the_factor() -> None:
     known = covariance(20)
     noise = np.random.default_rng(5).normal(0, 1e-15, (7, 7))
     other = known * (1 + noise + noise.T)
-    one, two = (Shared.of(NAMES, c).factor / UNIT[:, None] for c in (known, other))
+    one, two = (CommonErrors.of(NAMES, c).factor / UNIT[:, None] for c in (known, other))
     np.testing.assert_allclose(one, two, atol=1e-11)
 
 
 def test_a_quantity_of_no_source_stands_for_itself() -> None:
-    assert Shared.of(("scale",), np.eye(1)).error_names == ("scale",)
+    assert CommonErrors.of(("scale",), np.eye(1)).error_names == ("scale",)

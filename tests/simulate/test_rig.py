@@ -18,7 +18,7 @@ from calib.geometry.parameters import (
     vector,
 )
 from calib.geometry.plane import Gaze, depth, frame, gaze_angle
-from calib.simulate.rig import Rig, c2_pose, draw_rig, yaw_axis_in_c2
+from calib.simulate.rig import TrueRig, c2_pose, draw_rig, yaw_axis_in_c2
 from calib.simulate.scene import rotation
 
 SPREADS = {
@@ -33,14 +33,14 @@ SPREADS = {
 }
 
 
-def rig_with_everything(seed: int) -> Rig:
+def rig_with_everything(seed: int) -> TrueRig:
     """A rig with every parameter of the family far from neutral."""
     rng = np.random.default_rng(seed)
     fixed = {name: float(rng.normal(0, spread)) for name, spread in SPREADS.items()}
     return replace(draw_rig(rng, model="base", fixed=fixed), pitch_rad=float(rng.normal(0, 0.1)))
 
 
-def plain_rig(**fixed: float) -> Rig:
+def plain_rig(**fixed: float) -> TrueRig:
     rig = draw_rig(np.random.default_rng(0), model="base")
     theta = vector({"baseline_mm": 100.0, "standoff_mm": 20.0} | fixed)
     return replace(rig, theta=theta, height_mm=3.0, pitch_rad=0.0)

@@ -10,7 +10,7 @@ from calib.core.errors import UsageError
 from calib.geometry.board import Board
 from calib.geometry.plane import gaze_at
 from calib.simulate import scene
-from calib.simulate.rig import Rig, c2_pose, draw_rig
+from calib.simulate.rig import TrueRig, c2_pose, draw_rig
 from calib.simulate.scene import (
     IntrinsicViews,
     SweepPlan,
@@ -28,12 +28,12 @@ from calib.simulate.scene import (
 SEEDS = range(6)
 
 
-def rig_of(seed: int) -> tuple[Rig, Board]:
+def rig_of(seed: int) -> tuple[TrueRig, Board]:
     rig = draw_rig(np.random.default_rng(seed), model="encoder")
     return rig, fitting_board(rig, near_mm=rig.depth_range_mm[0])
 
 
-def corners_inside(rig: Rig, board: Board, poses: np.ndarray, name: str) -> bool:
+def corners_inside(rig: TrueRig, board: Board, poses: np.ndarray, name: str) -> bool:
     """Whether OpenCV projects every inner corner into the image, at every pose."""
     camera = getattr(rig, name)
     size = np.array(camera.image_size) - 1

@@ -13,7 +13,7 @@ from calib.core.errors import UsageError
 from calib.geometry.camera import project
 from calib.geometry.parameters import MODELS
 from calib.geometry.plane import OBSERVABLE, depth
-from calib.simulate.rig import Noise, Rig, draw_rig
+from calib.simulate.rig import Noise, TrueRig, draw_rig
 from calib.simulate.tables import (
     OUTLIER_ANGLE,
     OUTLIER_DEPTH,
@@ -27,7 +27,7 @@ from calib.simulate.tables import (
 SILENT = Noise(pixel_px=0.0, encoder_rad=0.0, z_mm=0.0, z_rel=0.0)
 
 
-def rig_of(seed: int, model: str = "encoder", noise: Noise | None = None) -> Rig:
+def rig_of(seed: int, model: str = "encoder", noise: Noise | None = None) -> TrueRig:
     return draw_rig(np.random.default_rng(seed), model=model, noise=noise)
 
 

@@ -15,7 +15,7 @@ from numpy.random import SeedSequence
 from calib.fit.priors import Priors
 from calib.geometry.parameters import INDEX, PARAMETERS, REFERENCE_OFFSET
 from calib.study.conditions import CONDITIONS
-from calib.study.rigs import INSIDE, Bench, set_up
+from calib.study.rigs import INSIDE, StudiedRig, set_up
 from calib.study.trial import calibrated
 
 RIGS = 60
@@ -28,7 +28,7 @@ U_SAID_MM = 2.0
 SEED = 61
 
 
-def counted_from(bench: Bench, ahead_mm: float, said: float | None) -> Bench:
+def counted_from(bench: StudiedRig, ahead_mm: float, said: float | None) -> StudiedRig:
     """References `ahead_mm` in front of the centre; `said` is what the manifest states of it."""
     unsaid = PARAMETERS[INDEX[REFERENCE_OFFSET]].prior_std
     assert unsaid is not None

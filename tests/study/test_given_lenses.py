@@ -12,13 +12,13 @@ from numpy.random import SeedSequence
 from calib.core.arrays import FloatArray
 from calib.dataset.given_lens import DEFAULT_U_CENTRE, DEFAULT_U_FOCAL
 from calib.geometry.camera import Camera, intrinsic_names, normalise, project
-from calib.rows.common_errors import Shared
+from calib.rows.common_errors import CommonErrors
 from calib.rows.from_table import CameraSet, direction_by_common
 from calib.rows.observations import Observations
-from calib.simulate.rig import Rig
+from calib.simulate.rig import TrueRig
 from calib.study import rigs as study_rigs
 from calib.study.conditions import CONDITIONS
-from calib.study.rigs import INSIDE, Bench, set_up
+from calib.study.rigs import INSIDE, StudiedRig, set_up
 from calib.study.trial import calibrated
 
 RIGS = 60
@@ -35,7 +35,7 @@ def uncertain(camera: Camera) -> FloatArray:
     return covariance
 
 
-def given(bench: Bench, rng: np.random.Generator) -> Camera:
+def given(bench: StudiedRig, rng: np.random.Generator) -> Camera:
     """The lens as given: off by a usual calibration's errors."""
     matrix = bench.rig.c1.matrix.copy()
     off = rng.normal(size=3) * [DEFAULT_U_FOCAL, *2 * [DEFAULT_U_CENTRE * matrix[0, 0]]]
@@ -44,7 +44,7 @@ def given(bench: Bench, rng: np.random.Generator) -> Camera:
     return replace(bench.rig.c1, matrix=matrix)
 
 
-def by_lens(rows: Observations, true: Camera, lens: Camera, shared: Shared) -> Observations:
+def by_lens(rows: Observations, true: Camera, lens: Camera, shared: CommonErrors) -> Observations:
     xy = normalise(lens, project(true, np.stack([rows.x1c, rows.y1c], axis=1)))
     loadings = np.zeros((len(xy), 5, len(shared.error_names)))
     if shared.names:
@@ -58,14 +58,14 @@ def by_lens(rows: Observations, true: Camera, lens: Camera, shared: Shared) -> O
     )
 
 
-def benches(stated: bool) -> Iterator[tuple[Bench, list[SeedSequence]]]:
+def benches(stated: bool) -> Iterator[tuple[StudiedRig, list[SeedSequence]]]:
     condition = CONDITIONS["axis-offset-14"]
     for number in range(RIGS):
         seeds = SeedSequence((8, number)).spawn(5)
         bench = set_up(condition, seed=8, number=number)
         lens = given(bench, np.random.default_rng(seeds[4]))
         names = tuple(f"c1.{name}" for name in intrinsic_names(lens))
-        shared = Shared.of(names, uncertain(lens)) if stated else Shared()
+        shared = CommonErrors.of(names, uncertain(lens)) if stated else CommonErrors()
         true = bench.rig.c1
         yield (
             replace(
@@ -95,7 +95,7 @@ def test_depths_keep_their_intervals_where_a_given_lens_is_a_little_wrong(
     assert 0.93 <= held(True)[0] <= 0.98
     drawn = study_rigs.draw_rig
 
-    def fine(rng: np.random.Generator, *, model: str, fixed: dict[str, float]) -> Rig:
+    def fine(rng: np.random.Generator, *, model: str, fixed: dict[str, float]) -> TrueRig:
         rig = drawn(rng, model=model, fixed=fixed)
         noise = replace(rig.noise, pixel_px=FINE_PX, encoder_rad=FINE_RAD, z_rel=FINE_DEPTH)
         return replace(rig, noise=noise, resolution_rad=FINE_RAD)

@@ -9,7 +9,7 @@ import pytest
 
 from calib.study.claims import LEAST_RIGS, judge, verdict_text
 from calib.study.conditions import CONDITIONS, GROUPS, MISTAKES, chosen
-from calib.study.scores import Score, score_all
+from calib.study.scores import StudyScore, score_all
 
 RIGS = 400
 
@@ -48,7 +48,7 @@ def normal(x: float) -> float:
     return float(norm.cdf(x))
 
 
-def find(scores: tuple[Score, ...], **wanted: str) -> Score:
+def find(scores: tuple[StudyScore, ...], **wanted: str) -> StudyScore:
     (one,) = [s for s in scores if all(getattr(s, k) == v for k, v in wanted.items())]
     return one
 
@@ -149,7 +149,7 @@ def test_rigs_that_all_agree_prove_nothing_while_they_are_few(rigs: int) -> None
 def test_a_claim_is_held_only_beyond_the_error_of_its_score(
     value: float, error: float, rigs: int, mark: str, enough: int | None
 ) -> None:
-    score = Score("base-14", "depth inside", "selected", "coverage95", value, error, rigs)
+    score = StudyScore("base-14", "depth inside", "selected", "coverage95", value, error, rigs)
     (verdict,) = [v for v in judge([score]) if "inside the calibrated range" in v.claim]
     assert verdict_text(verdict).startswith(mark)
     assert (verdict.held, verdict.broken) == (mark == "held", mark == "BROKEN")

@@ -11,7 +11,7 @@ from matplotlib.text import Text
 
 from calib.geometry.parameters import INDEX
 from calib.study.figures import ESTIMATORS, FIGURES
-from calib.study.scores import Score
+from calib.study.scores import StudyScore
 
 SCORES = Path(__file__).parents[2] / "docs" / "study" / "default" / "scores.json"
 
@@ -22,7 +22,7 @@ def texts(figure: Figure) -> list[str]:
 
 @pytest.mark.parametrize("name", FIGURES)
 def test_each_colour_has_its_words_and_no_key_of_the_table_is_among_them(name: str) -> None:
-    scores = [Score(**one) for one in json.loads(SCORES.read_text())["scores"]]
+    scores = [StudyScore(**one) for one in json.loads(SCORES.read_text())["scores"]]
     figure = FIGURES[name](scores)
     assert figure is not None
     (legend,) = figure.legends

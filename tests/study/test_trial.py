@@ -21,7 +21,7 @@ from calib.study.conditions import CONDITIONS
 from calib.study.depths import ModelDepths, depth_record
 from calib.study.rigs import BEYOND, INSIDE, set_up
 from calib.study.run import run_study
-from calib.study.tasks import Task, key_of, perform
+from calib.study.tasks import StudyTask, key_of, perform
 from calib.study.trial import cramer_rao, run_trial
 
 RIGS = 3
@@ -138,7 +138,7 @@ def test_a_study_goes_on_where_it_stopped(tmp_path: Path) -> None:
 
 
 def test_processes_give_what_one_process_gives(tmp_path: Path) -> None:
-    alone = [perform(Task("base-14", 3, i, key_of("base-14", 3))) for i in range(RIGS)]
+    alone = [perform(StudyTask("base-14", 3, i, key_of("base-14", 3))) for i in range(RIGS)]
     shared = run_study(tmp_path / "rigs.jsonl", FAST, rigs=RIGS, seed=3, jobs=2)
     assert list(shared) == alone
 
@@ -174,7 +174,7 @@ def test_a_cluster_survives_the_death_of_a_worker(tmp_path: Path) -> None:
         )  # fmt: skip
     assert killed
     assert [r["number"] for r in records] == list(range(8))
-    assert records[0] == perform(Task("base-14", 3, 0, key_of("base-14", 3)))
+    assert records[0] == perform(StudyTask("base-14", 3, 0, key_of("base-14", 3)))
 
 
 def study(*arguments: str) -> int:

@@ -14,7 +14,7 @@ from calib.geometry.plane import OBSERVABLE
 from calib.instrument.calibrated import CalibratedInstrument, instrument_from_draws
 from calib.rows.from_table import RowSettings, Setup
 from calib.rows.observations import Observations, depth_groups
-from calib.simulate.rig import Rig, draw_rig
+from calib.simulate.rig import TrueRig, draw_rig
 from calib.simulate.tables import draw_targets, observe
 
 DRAWS = 4000
@@ -28,7 +28,7 @@ TESTS = 20
 class Bench:
     """A rig, its rows, test readings inside the range of the rows and their true depths."""
 
-    rig: Rig
+    rig: TrueRig
     rows: Observations
     tests: Observations
     true_depths_mm: np.ndarray

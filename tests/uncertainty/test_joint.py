@@ -22,7 +22,7 @@ from calib.uncertainty.depth import (
     reading_at,
 )
 from calib.uncertainty.distributions import PARTS, draw
-from calib.uncertainty.joint import Asked, FixedNumber, Quantity, propagate_together
+from calib.uncertainty.joint import FixedNumber, MeasuredPoints, Quantity, propagate_together
 from calib.uncertainty.lengths import Length, length_draws, length_errors
 from calib.uncertainty.measurement import (
     Instrument,
@@ -152,7 +152,7 @@ def test_trials_give_what_draws_of_every_input_by_itself_give(*, posterior: bool
         "sum of depths": lambda points: points[0, 2] + points[1, 2],
     }
     results = {name: Results(model.blocks) for name in values}
-    asked = Asked(model, tuple(Quantity(f, results[name]) for name, f in values.items()))
+    asked = MeasuredPoints(model, tuple(Quantity(f, results[name]) for name, f in values.items()))
     assert propagate_together(instrument, [asked], np.random.default_rng(6)) == (None,)
     for i, (name, value) in enumerate(values.items()):
         alone = propagate(

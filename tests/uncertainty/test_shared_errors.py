@@ -18,7 +18,7 @@ from calib.geometry.plane import OBSERVABLE, depth
 from calib.instrument.calibrated import CalibratedInstrument, instrument_from_draws
 from calib.rows.from_table import RowSettings, Setup
 from calib.rows.observations import Observations
-from calib.simulate.rig import Noise, Rig, draw_rig
+from calib.simulate.rig import Noise, TrueRig, draw_rig
 from calib.simulate.tables import draw_targets, observe
 from calib.uncertainty.measurement import (
     Instrument,
@@ -37,12 +37,14 @@ LARGE = {"shared_focal": 1e-3, "shared_centre": 3e-3, "shared_z_rel": 5e-3}
 """Ten times the rows' own errors; most of it the parameters take up and take away again."""
 
 
-def rig(seed: int) -> Rig:
+def rig(seed: int) -> TrueRig:
     found = draw_rig(np.random.default_rng(seed), model=MODEL, fixed={})
     return replace(found, noise=replace(found.noise, **LARGE))
 
 
-def calibrated(fit: RobustFit, rows: Observations, noisy: Rig, seed: int) -> CalibratedInstrument:
+def calibrated(
+    fit: RobustFit, rows: Observations, noisy: TrueRig, seed: int
+) -> CalibratedInstrument:
     """Return the instrument by importance sampling: the chain's density, a hundred times faster."""
     rng = np.random.default_rng(seed)
     target = posterior_of(fit, rows, Priors({}))
@@ -68,7 +70,7 @@ def split(rows: Observations, count: int) -> tuple[Observations, Observations]:
 
 def bench(
     seed: int, count: int = 14, *, clean: bool = False
-) -> tuple[Rig, Observations, Observations, np.ndarray]:
+) -> tuple[TrueRig, Observations, Observations, np.ndarray]:
     """Return a rig, its rows, test readings with the same shared errors, and their true depths.
 
     Clean ones have the uncertainties, but no errors.

@@ -18,7 +18,7 @@ Role = Literal["c1", "c2"]
 
 
 @dataclass(frozen=True)
-class Asked:
+class AskedPose:
     """A pose to hold the board at.
 
     Parameters
@@ -62,7 +62,7 @@ def asked_for(
     needed: float,
     unit: str,
     taken: FloatArray,
-) -> Asked:
+) -> AskedPose:
     """Return what is asked for by a pose, camera from board, shape (6,).
 
     Parameters
@@ -76,7 +76,7 @@ def asked_for(
     around = _along(rim(board))
     outline = project(camera, transform(pose, around))
     now, then = (f"{value:.2g}" if value < 99.5 else f"{value:.0f}" for value in u)
-    return Asked(
+    return AskedPose(
         role=role,
         corners_px=corners,
         outline_px=outline,

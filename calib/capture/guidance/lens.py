@@ -8,11 +8,11 @@ from typing import Final
 
 import numpy as np
 
-from calib.capture.guidance.asked import Asked, Role, asked_for
+from calib.capture.guidance.asked import AskedPose, Role, asked_for
 from calib.capture.guidance.poses import in_picture, placed, repeats, seen_whole, thinned
 from calib.capture.guidance.solving import (
-    Known,
-    Prior,
+    NormalPrior,
+    PictureKnowledge,
     added_by,
     left_by,
     nothing_known,
@@ -26,7 +26,7 @@ from calib.geometry.camera import Camera, project
 from calib.images.intrinsics.calibrate import MIN_VIEWS
 from calib.images.intrinsics.gates import COVERAGE_MIN
 from calib.images.intrinsics.maps import GRID, Nodes, by_intrinsics, measure_coverage
-from calib.images.joint.model import BOW, POSE, BoardImages, JointProblem
+from calib.images.joint.model import POSE, WARP, BoardImages, JointProblem
 from calib.images.pairs import single_view_pose
 
 FIRST_FOCAL: Final = 1.0
@@ -38,8 +38,8 @@ FOCAL_STD, CENTRE_STD = 0.3, 0.1
 LENS_STD: Final = (0.5, 0.5, 0.02, 0.02, 0.5)
 """Of k1, k2, p1, p2, k3. Lenses of up to 100 degrees that are no fisheyes stay within."""
 
-BOW_STD_MM: Final = 1.0
-"""Of the board's bow each way."""
+WARP_STD_MM: Final = 1.0
+"""Of the board's warp each way."""
 
 ALONE_VIEWS, HELD = 3, 0.1
 """Fewer views leave a valley of lenses; the one to begin with is sought with priors so much
@@ -149,7 +149,7 @@ class LensGuide:
         """Solve the pictures so far anew, from where the solution is."""
         self._take(self._solved(self._pixels))
 
-    def _take(self, known: Known) -> None:
+    def _take(self, known: PictureKnowledge) -> None:
         """Take what is known now as the ground of what follows."""
         self.known = known
         self._factor = known.factor(known.problem.at_lens(0))
@@ -157,7 +157,7 @@ class LensGuide:
         nothing = np.zeros((1, *known.information.shape))
         self.u = float(np.sqrt(self._variance(nothing)[0]))
 
-    def ask(self) -> Asked:
+    def ask(self) -> AskedPose:
         """Return the pose to hold the board at next."""
         poses = self._candidates()
         shown = self._shown(poses)
@@ -230,7 +230,7 @@ class LensGuide:
         asked[:, self.known.problem.at_lens(0)] = np.sqrt(2.0) * flat
         return asked
 
-    def _solved(self, pixels: FloatArray) -> Known:
+    def _solved(self, pixels: FloatArray) -> PictureKnowledge:
         """Return the solution, from where the last one is, or else from the start."""
         known = self.known
         try:
@@ -239,7 +239,7 @@ class LensGuide:
             start = Camera(_matrix(self._prior.mean), np.zeros(COEFFICIENTS), self._size)
             return self._from(start, np.zeros((0, POSE)), pixels)
 
-    def _from(self, camera: Camera, own: FloatArray, pixels: FloatArray) -> Known:
+    def _from(self, camera: Camera, own: FloatArray, pixels: FloatArray) -> PictureKnowledge:
         problem = _problem(camera, self._points, pixels)
         new = [
             single_view_pose(camera, points=self._points, pixels=view)[0]
@@ -248,7 +248,7 @@ class LensGuide:
         start = problem.start(np.zeros(POSE), np.concatenate([own, np.array(new).reshape(-1, 6)]))
         if len(pixels) >= ALONE_VIEWS:
             return solve(problem, start, self._prior)
-        held = Prior(self._prior.mean, self._prior.precision / HELD**2)
+        held = NormalPrior(self._prior.mean, self._prior.precision / HELD**2)
         return replace(solve(problem, start, held), prior=self._prior)
 
 
@@ -257,15 +257,15 @@ def _matrix(mean: FloatArray) -> FloatArray:
     return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
 
 
-def _prior(image_size: tuple[int, int]) -> Prior:
+def _prior(image_size: tuple[int, int]) -> NormalPrior:
     width, height = image_size
     focal = FIRST_FOCAL * width
     mean = [focal, focal, (width - 1) / 2, (height - 1) / 2, *np.zeros(COEFFICIENTS)]
     std = [FOCAL_STD * focal, FOCAL_STD * focal, CENTRE_STD * width, CENTRE_STD * width, *LENS_STD]
     # The pose of C2 is none of a single camera's: it is held.
-    return Prior(
-        np.array([*mean, *np.zeros(POSE + BOW)]),
-        np.diag(np.array([*std, *np.ones(POSE), *np.full(BOW, BOW_STD_MM)]) ** -2.0),
+    return NormalPrior(
+        np.array([*mean, *np.zeros(POSE + WARP)]),
+        np.diag(np.array([*std, *np.ones(POSE), *np.full(WARP, WARP_STD_MM)]) ** -2.0),
     )
 
 

@@ -1,7 +1,7 @@
 """Guide of stereo pairs: the next one is that which leaves triangulated depth least uncertain.
 
 Shared unknowns are those of the chain's joint solve: both lenses, each with what its own pictures
-say of it, the pose of C2 as it is held, the board's bow.
+say of it, the pose of C2 as it is held, the board's warp.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ from typing import Final
 import cv2
 import numpy as np
 
-from calib.capture.guidance.asked import Asked, Role, asked_for
-from calib.capture.guidance.lens import BOW_STD_MM
+from calib.capture.guidance.asked import AskedPose, Role, asked_for
+from calib.capture.guidance.lens import WARP_STD_MM
 from calib.capture.guidance.need import Need
 from calib.capture.guidance.poses import (
     TILTS_DEG,
@@ -27,14 +27,21 @@ from calib.capture.guidance.poses import (
     thinned,
     turns,
 )
-from calib.capture.guidance.solving import Known, Prior, added_by, left_by, nothing_known, solve
+from calib.capture.guidance.solving import (
+    NormalPrior,
+    PictureKnowledge,
+    added_by,
+    left_by,
+    nothing_known,
+    solve,
+)
 from calib.capture.shutter import WORTH, Shutter, View
 from calib.core.arrays import FloatArray
 from calib.core.errors import EstimationError
 from calib.geometry.board import Board
 from calib.geometry.camera import Camera, intrinsic_vector, normalise, project, project_points
 from calib.geometry.poses import pose_matrix, pose_vector, rotation
-from calib.images.joint.model import BOW, BoardImages, JointProblem
+from calib.images.joint.model import WARP, BoardImages, JointProblem
 from calib.images.pairs import MIN_PAIRS, half_turn_looks_same, single_view_pose
 
 TURN_STD_RAD, SHIFT_STD_SHARE = 0.1, 0.25
@@ -60,7 +67,7 @@ class LensSays:
     camera
         The estimate.
     information
-        Of its intrinsics and the board's bow, shape (p + 2, p + 2); None where the lens is given
+        Of its intrinsics and the board's warp, shape (p + 2, p + 2); None where the lens is given
         and not to be solved.
     """
 
@@ -144,7 +151,7 @@ class PairGuide:
         """Take a pair into account; errors as of `add`."""
         self.add(np.stack([views["c1"].corners, views["c2"].corners]))
 
-    def ask(self) -> Asked:
+    def ask(self) -> AskedPose:
         """Return the pose to hold the board at next.
 
         Raises
@@ -200,7 +207,7 @@ class PairGuide:
         after = self._variance(self._added(pose[None], upright[None]))[0]
         return float((self.u**2 - after) / self._gain)
 
-    def _take(self, known: Known) -> None:
+    def _take(self, known: PictureKnowledge) -> None:
         self.known = known
         self._factor = known.factor(known.problem.at_pose)
         self._asked = self._asked_of()
@@ -324,11 +331,11 @@ class PairGuide:
         return asked
 
 
-def lens_says(known: Known) -> LensSays:
+def lens_says(known: PictureKnowledge) -> LensSays:
     """Return what a lens' own pictures say, of a guide's `known`; its poses eliminated."""
     problem = known.problem
     lens = problem.at_lens(0)
-    kept = np.concatenate([lens, problem.at_bow])
+    kept = np.concatenate([lens, problem.at_warp])
     factor = known.factor(lens)
     information = known.normals.sum(axis=0)[np.ix_(kept, kept)] / factor
     return LensSays(problem.camera_at(known.at.shared, 0), information)
@@ -353,19 +360,21 @@ def holding_reading(need: Need, baseline_mm: float) -> float:
     return float(np.pi / 2 - np.arctan(baseline_mm / 2 / (2 / (1 / near + 1 / far))))
 
 
-def _prior(problem: JointProblem, lenses: tuple[LensSays, LensSays], pose_12: FloatArray) -> Prior:
+def _prior(
+    problem: JointProblem, lenses: tuple[LensSays, LensSays], pose_12: FloatArray
+) -> NormalPrior:
     free = [intrinsic_vector(lens.camera) for lens in lenses if lens.information is not None]
-    mean = np.concatenate([*free, pose_12, np.zeros(BOW)])
+    mean = np.concatenate([*free, pose_12, np.zeros(WARP)])
     precision = np.zeros((problem.size, problem.size))
     for i, lens in enumerate(lenses):
         if lens.information is not None:
-            places = np.concatenate([problem.at_lens(i), problem.at_bow])
+            places = np.concatenate([problem.at_lens(i), problem.at_warp])
             precision[np.ix_(places, places)] += lens.information
     shift = SHIFT_STD_SHARE * max(abs(float(pose_12[3])), 1.0)
     std = np.concatenate([np.full(3, TURN_STD_RAD), np.full(3, shift)])
     precision[problem.at_pose, problem.at_pose] += std**-2.0
-    precision[problem.at_bow, problem.at_bow] += BOW_STD_MM**-2.0
-    return Prior(mean, precision)
+    precision[problem.at_warp, problem.at_warp] += WARP_STD_MM**-2.0
+    return NormalPrior(mean, precision)
 
 
 def _depths(need: Need) -> FloatArray:

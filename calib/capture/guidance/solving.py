@@ -43,7 +43,7 @@ _ROUNDS: Final = 3
 
 
 @dataclass(frozen=True)
-class Prior:
+class NormalPrior:
     """A normal prior of the shared unknowns: mean, (n,), and inverse covariance, (n, n)."""
 
     mean: FloatArray
@@ -51,7 +51,7 @@ class Prior:
 
 
 @dataclass(frozen=True)
-class Known:
+class PictureKnowledge:
     """What the pictures so far say.
 
     Parameters
@@ -76,7 +76,7 @@ class Known:
     at: Unknowns
     normals: FloatArray
     scores: FloatArray
-    prior: Prior
+    prior: NormalPrior
     sigma_px: float
     rms_px: FloatArray
 
@@ -100,7 +100,7 @@ class Known:
         return inverse(self.information)
 
 
-def solve(problem: JointProblem, start: Unknowns, prior: Prior) -> Known:
+def solve(problem: JointProblem, start: Unknowns, prior: NormalPrior) -> PictureKnowledge:
     """Return what the pictures say.
 
     Raises
@@ -117,7 +117,7 @@ def solve(problem: JointProblem, start: Unknowns, prior: Prior) -> Known:
         if abs(sigma / before - 1) < 0.05:
             break
     mean_square = np.nanmean(residuals**2, axis=(1, 2))
-    return Known(
+    return PictureKnowledge(
         problem=problem,
         at=at,
         normals=reduced.normals[:-1],
@@ -128,10 +128,10 @@ def solve(problem: JointProblem, start: Unknowns, prior: Prior) -> Known:
     )
 
 
-def nothing_known(problem: JointProblem, prior: Prior) -> Known:
+def nothing_known(problem: JointProblem, prior: NormalPrior) -> PictureKnowledge:
     """Return what is known without a picture; `problem` has none."""
     size = problem.size
-    return Known(
+    return PictureKnowledge(
         problem=problem,
         at=Unknowns(prior.mean, np.zeros((0, POSE))),
         normals=np.zeros((0, size, size)),
@@ -142,7 +142,7 @@ def nothing_known(problem: JointProblem, prior: Prior) -> Known:
     )
 
 
-def added_by(known: Known, candidates: JointProblem, poses: FloatArray) -> FloatArray:
+def added_by(known: PictureKnowledge, candidates: JointProblem, poses: FloatArray) -> FloatArray:
     """Return what each view would add to the information, shape (v, n, n).
 
     Parameters
@@ -157,7 +157,7 @@ def added_by(known: Known, candidates: JointProblem, poses: FloatArray) -> Float
     return eliminated(normals, 0.0)[0]
 
 
-def left_by(known: Known, added: FloatArray, asked: FloatArray) -> FloatArray:
+def left_by(known: PictureKnowledge, added: FloatArray, asked: FloatArray) -> FloatArray:
     """Return the mean variance of what is asked after each candidate, shape (v,).
 
     Parameters
@@ -177,7 +177,7 @@ def left_by(known: Known, added: FloatArray, asked: FloatArray) -> FloatArray:
 
 
 def _with_prior(
-    problem: JointProblem, prior: Prior, sigma: float
+    problem: JointProblem, prior: NormalPrior, sigma: float
 ) -> Callable[[Unknowns], ViewNormals]:
     """Return the normal equations, with the priors as a last view without own unknowns."""
     weight = np.where(finite(problem.images.pixels), sigma**-2.0, 0.0)

@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from calib.capture.guidance.asked import Asked, Role, asked_for
+from calib.capture.guidance.asked import AskedPose, Role, asked_for
 from calib.capture.guidance.need import Need
 from calib.capture.guidance.poses import in_picture, placed, repeats, seen_whole, thinned
 from calib.capture.shutter import Shutter, View
@@ -114,7 +114,7 @@ class SweepGuide:
         low, high = self._range
         return float(np.clip(np.pi / 2 + side * SPREAD_RAD, low, high))
 
-    def ask(self) -> Asked:
+    def ask(self) -> AskedPose:
         """Return the pose to put the board up at, in C2's picture at `middle_rad`."""
         fresh = ~repeats(self._images(self._poses), self._shown, self.board)
         value = np.array([

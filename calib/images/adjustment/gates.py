@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from calib.core.gate import Gate
-from calib.images.adjustment.solve import Solution
+from calib.images.adjustment.solve import AdjustmentSolution
 from calib.images.adjustment.steadiness import turn_of_c1
 from calib.images.bundle import finite
 from calib.images.checks import fit_gate, gate
@@ -30,7 +30,7 @@ STEADY = "c1-steady"
 """Name of the gate on C1 keeping its place: of the rig, whatever its depths are taken from."""
 
 
-def adjustment_gates(found: Solution, stated_rad: float) -> tuple[Gate, ...]:
+def adjustment_gates(found: AdjustmentSolution, stated_rad: float) -> tuple[Gate, ...]:
     """Return the gates.
 
     Parameters
@@ -61,7 +61,7 @@ def rig_gates(gates: tuple[Gate, ...]) -> tuple[Gate, ...]:
     return tuple(gate for gate in gates if not gate.name.startswith("adjustment-"))
 
 
-def _steady_gates(found: Solution) -> tuple[Gate, ...]:
+def _steady_gates(found: AdjustmentSolution) -> tuple[Gate, ...]:
     """Gates on lenses and C1 staying as they are; on lenses where no pairs have their own."""
     gates: tuple[Gate, ...] = ()
     if "pair" not in found.problem.pictures.kinds:
@@ -84,13 +84,13 @@ def _steady_gates(found: Solution) -> tuple[Gate, ...]:
     return (*gates, steady)
 
 
-def left_out(found: Solution) -> list[int]:
+def left_out(found: AdjustmentSolution) -> list[int]:
     """Return places of the pictures that were left out whole."""
     kept = finite(found.residuals).sum(axis=-1)
     return [int(i) for i in np.flatnonzero(kept < MIN_CORNERS)]
 
 
-def _pictures_gate(found: Solution, left: list[int], count: int) -> Gate:
+def _pictures_gate(found: AdjustmentSolution, left: list[int], count: int) -> Gate:
     names = [found.problem.pictures.names[i] for i in left]
     more = ", ..." if len(names) > NAMED else ""
     named = f" and were left out: {', '.join(names[:NAMED])}{more}" if names else ""
@@ -102,7 +102,7 @@ def _pictures_gate(found: Solution, left: list[int], count: int) -> Gate:
     )
 
 
-def _views_gate(found: Solution) -> Gate:
+def _views_gate(found: AdjustmentSolution) -> Gate:
     factor = found.factors[2]
     return gate(
         "adjustment-views",
@@ -113,7 +113,7 @@ def _views_gate(found: Solution) -> Gate:
     )
 
 
-def _readings_gate(found: Solution, stated_rad: float) -> Gate:
+def _readings_gate(found: AdjustmentSolution, stated_rad: float) -> Gate:
     errors = np.abs(found.reading_errors_rad)
     worst = int(np.argmax(errors))
     pictures = found.problem.pictures

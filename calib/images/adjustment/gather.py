@@ -16,7 +16,7 @@ from calib.geometry.board import Board, Corners
 from calib.geometry.parameters import ENCODER_CENTRE_RAD, INDEX, PARAMETERS
 from calib.geometry.poses import pose_matrix, pose_vector
 from calib.images.adjustment.mounting import ENCODER, RIG, pose_of
-from calib.images.adjustment.problem import BOW, Pictures, Problem
+from calib.images.adjustment.problem import WARP, AdjustmentProblem, BoardPictures
 from calib.images.bundle import finite, inverse
 from calib.images.detection.grid import orient_like
 from calib.images.joint.reduced import Unknowns
@@ -161,7 +161,7 @@ def gather(
     corners: tuple[Corners, Corners],
     board: Board,
     rig: CameraPair,
-) -> tuple[Problem, Unknowns]:
+) -> tuple[AdjustmentProblem, Unknowns]:
     """Return the problem and where to start it.
 
     A picture named for several purposes, or under several names, counts once: first as part of a
@@ -189,7 +189,7 @@ def gather(
                 found.add_alone(name, "lens", c, seen[c][name])
     if not found.names:
         raise EstimationError("adjustment: the board was found in no picture")
-    pictures = Pictures(
+    pictures = BoardPictures(
         names=tuple(found.names),
         kinds=tuple(found.kinds),
         camera=np.array(found.camera),
@@ -200,7 +200,7 @@ def gather(
     )
     _require_turns(pictures)
     known = _known(taken.priors)
-    problem = Problem(
+    problem = AdjustmentProblem(
         pictures=pictures,
         points=board.object_points(),
         cameras=rig.cameras,
@@ -211,7 +211,7 @@ def gather(
         lens_information=(_information(rig, 0), _information(rig, 1)),
     )
     mounted, poses = _start(problem)
-    return problem, problem.start(mounted, np.zeros(BOW), poses)
+    return problem, problem.start(mounted, np.zeros(WARP), poses)
 
 
 def _uncertain(rig: CameraPair, camera: int) -> bool:
@@ -296,7 +296,7 @@ def _add_sweep(
         found.add(name, "sweep", 1, view, pixels, found.at(float(reading)))
 
 
-def _require_turns(pictures: Pictures) -> None:
+def _require_turns(pictures: BoardPictures) -> None:
     """Raise EstimationError unless both cameras see boards and C2 turns."""
     turned = pictures.exposure >= 0
     both = np.intersect1d(pictures.view[turned], pictures.view[pictures.camera == 0])
@@ -314,7 +314,7 @@ def _require_turns(pictures: Pictures) -> None:
         )
 
 
-def _start(problem: Problem) -> tuple[FloatArray, FloatArray]:
+def _start(problem: AdjustmentProblem) -> tuple[FloatArray, FloatArray]:
     """Return a rig, shape (13,), and board poses, shape (v, 6), by single views."""
     pictures = problem.pictures
     single = np.array(
@@ -347,7 +347,7 @@ def _start(problem: Problem) -> tuple[FloatArray, FloatArray]:
 
 
 def _rig_start(
-    poses_12: FloatArray, readings: FloatArray, depths: FloatArray, problem: Problem
+    poses_12: FloatArray, readings: FloatArray, depths: FloatArray, problem: AdjustmentProblem
 ) -> FloatArray:
     """Return the rig that poses of C2 by single views show, the encoder's errors left out."""
     turn = np.arctan2(poses_12[:, 0, 2], poses_12[:, 2, 2])

@@ -12,7 +12,7 @@ from calib.core.arrays import BoolArray, FloatArray, IntArray
 from calib.geometry.camera import Camera, intrinsic_vector, project_points
 from calib.geometry.poses import rotation
 from calib.images.adjustment.mounting import RIG, Turned, seen, seen_by_rig, seen_by_turn, turned
-from calib.images.adjustment.problem import POSE, Pictures, Problem
+from calib.images.adjustment.problem import POSE, AdjustmentProblem, BoardPictures
 from calib.images.board_errors import BoardSums, Equations
 from calib.images.bundle import deformed, finite
 from calib.images.joint.reduced import Unknowns, ViewNormals
@@ -74,7 +74,7 @@ class _State(NamedTuple):
 
     cameras: tuple[Camera, Camera]
     board: FloatArray
-    bow: FloatArray
+    warp: FloatArray
     turns: FloatArray
     slopes: FloatArray
     shifts: FloatArray
@@ -82,7 +82,7 @@ class _State(NamedTuple):
     errors: FloatArray
 
 
-def evaluate(problem: Problem, at: Unknowns, weight: FloatArray) -> Evaluation:
+def evaluate(problem: AdjustmentProblem, at: Unknowns, weight: FloatArray) -> Evaluation:
     """Return the problem at unknowns.
 
     Parameters
@@ -112,7 +112,7 @@ def evaluate(problem: Problem, at: Unknowns, weight: FloatArray) -> Evaluation:
 
 
 def board_covariance(
-    problem: Problem, at: Unknowns, weight: FloatArray, known: FloatArray
+    problem: AdjustmentProblem, at: Unknowns, weight: FloatArray, known: FloatArray
 ) -> FloatArray:
     """Return what errors of the board add to the covariance of the shared unknowns, (n, n).
 
@@ -147,7 +147,7 @@ def board_covariance(
     return sums.covariance(problem.points)
 
 
-def _chunks(pictures: Pictures) -> Iterator[_Chunk]:
+def _chunks(pictures: BoardPictures) -> Iterator[_Chunk]:
     for camera in (0, 1):
         for turning in (False, True):
             own = (pictures.camera == camera) & ((pictures.exposure >= 0) == turning)
@@ -156,18 +156,18 @@ def _chunks(pictures: Pictures) -> Iterator[_Chunk]:
                 yield _Chunk(images[first : first + CHUNK], camera, turning)
 
 
-def _state(problem: Problem, at: Unknowns) -> _State:
+def _state(problem: AdjustmentProblem, at: Unknowns) -> _State:
     x, poses = at.shared, at.own[:-1]
     turns, slopes = np.empty((len(poses), 3, 3)), np.empty((len(poses), 3, 3, 3))
     for v, pose in enumerate(poses):
         turns[v], slope = cv2.Rodrigues(pose[:3])
         slopes[v] = slope.reshape(3, 3, 3)
     flat = problem.points * np.array([1.0, 1.0, 0.0])
-    bow = np.stack([deformed(flat, b)[:, 2] for b in ((1.0, 0.0), (0.0, 1.0))], axis=-1)
+    warp = np.stack([deformed(flat, b)[:, 2] for b in ((1.0, 0.0), (0.0, 1.0))], axis=-1)
     return _State(
         cameras=(problem.camera_at(x, 0), problem.camera_at(x, 1)),
         board=problem.board_at(x),
-        bow=bow,
+        warp=warp,
         turns=turns,
         slopes=slopes,
         shifts=poses[:, 3:],
@@ -214,7 +214,9 @@ class _Equations(NamedTuple):
     residuals: FloatArray
 
 
-def _equations(problem: Problem, state: _State, chunk: _Chunk, weight: FloatArray) -> _Equations:
+def _equations(
+    problem: AdjustmentProblem, state: _State, chunk: _Chunk, weight: FloatArray
+) -> _Equations:
     """Return the equations of some pictures."""
     pictures, images = problem.pictures, chunk.images
     views = pictures.view[images]
@@ -228,7 +230,7 @@ def _equations(problem: Problem, state: _State, chunk: _Chunk, weight: FloatArra
     alone, errors = np.zeros(len(images), dtype=np.bool_), np.zeros(len(images))
     by_turn = np.zeros((*placed.shape, 1))
     by_rig: list[FloatArray] = []
-    columns = [problem.at_bow]
+    columns = [problem.at_warp]
     if chunk.turning:
         exposure, alone = pictures.exposure[images], pictures.own[images]
         stated, held = pictures.readings_rad[exposure], state.errors[exposure]
@@ -242,13 +244,13 @@ def _equations(problem: Problem, state: _State, chunk: _Chunk, weight: FloatArra
         columns += [problem.at_rig, problem.at_held]
         by_own, turn = c2.back[:, None] @ by_own, c2.back @ turn
         placed = seen(c2, placed)
-    by_bow = turn[:, None, :, 2, None] * state.bow[None, :, None, :]
+    by_warp = turn[:, None, :, 2, None] * state.warp[None, :, None, :]
     view = project_points(state.cameras[chunk.camera], placed.reshape(-1, 3))
     shape = observed.shape
     residuals = observed - view.pixels.reshape(shape)
     by_point = view.by_point.reshape(*shape, 3) * root[..., None]
     off = np.where(used[..., None], -residuals, 0.0) * root
-    parts = [by_point @ np.concatenate([by_bow, *by_rig, by_own], axis=-1), off[..., None]]
+    parts = [by_point @ np.concatenate([by_warp, *by_rig, by_own], axis=-1), off[..., None]]
     if problem.free[chunk.camera]:
         parts.insert(0, view.by_intrinsics.reshape(*shape, -1) * root[..., None])
         columns.insert(0, problem.at_lens(chunk.camera))
@@ -265,7 +267,7 @@ def _equations(problem: Problem, state: _State, chunk: _Chunk, weight: FloatArra
 
 
 def _add_pictures(
-    problem: Problem,
+    problem: AdjustmentProblem,
     chunk: _Chunk,
     found: _Equations,
     sums: ViewNormals,
@@ -297,7 +299,7 @@ def _add_pictures(
 
 
 def _reading_errors(
-    problem: Problem,
+    problem: AdjustmentProblem,
     state: _State,
     c2: Turned,
     placed: FloatArray,
@@ -328,7 +330,7 @@ def _scatter(sums: ViewNormals, views: IntArray, place: IntArray, total: FloatAr
     np.add.at(sums.own_gradient, views, total[:, own, -1])
 
 
-def _add_known(problem: Problem, at: Unknowns, sums: ViewNormals) -> float:
+def _add_known(problem: AdjustmentProblem, at: Unknowns, sums: ViewNormals) -> float:
     """Add what is known of rig, readings and lenses beforehand, as the last view."""
     mean, std = np.array(problem.prior).reshape(-1, 2).T
     held = len(problem.at_held)
@@ -357,7 +359,7 @@ def _joined(readings: list[Readings], n: int) -> Readings:
     return Readings(*(np.concatenate(parts) for parts in zip(*readings, strict=True)))
 
 
-def camera_poses(problem: Problem, at: Unknowns, errors: FloatArray) -> FloatArray:
+def camera_poses(problem: AdjustmentProblem, at: Unknowns, errors: FloatArray) -> FloatArray:
     """Return board poses of pictures, rad and mm, in the camera that took each, shape (i, 6).
 
     Parameters

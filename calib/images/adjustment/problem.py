@@ -1,6 +1,6 @@
 """The adjustment as a problem: pictures, what is known beforehand, the order of the unknowns.
 
-Shared unknowns, in this order: intrinsics of C1 and of C2, each where it is not given; the bow of
+Shared unknowns, in this order: intrinsics of C1 and of C2, each where it is not given; the warp of
 the board along x and along y; the free ones of the rig (`mounting.RIG`); the errors of readings at
 which several pictures were taken, in standard deviations. Own unknowns of a view: the pose of the
 board, in C1, or in C2 where C2 sees it alone at no reading. The error of a reading at which one
@@ -21,11 +21,11 @@ from calib.images.joint.reduced import Unknowns
 from calib.images.joint.unknowns import LensesAndBoard
 
 POSE = 6
-BOW = 2
+WARP = 2
 
 
 @dataclass(frozen=True)
-class Pictures:
+class BoardPictures:
     """Pictures of one board, i of them, by view of the board, v of them.
 
     Parameters
@@ -73,7 +73,7 @@ class Pictures:
 
 
 @dataclass(frozen=True)
-class Problem(LensesAndBoard):
+class AdjustmentProblem(LensesAndBoard):
     """The problem.
 
     Parameters
@@ -97,7 +97,7 @@ class Problem(LensesAndBoard):
         Standard deviation of the error of a reading, rad.
     """
 
-    pictures: Pictures
+    pictures: BoardPictures
     points: FloatArray
     cameras: tuple[Camera, Camera]
     free: tuple[bool, bool]
@@ -107,39 +107,39 @@ class Problem(LensesAndBoard):
     lens_information: tuple[FloatArray, FloatArray]
 
     @property
-    def pictured(self) -> Pictures:
+    def pictured(self) -> BoardPictures:
         """The pictures."""
         return self.pictures
 
     @property
-    def at_bow(self) -> IntArray:
-        """Places of the board's bow, shape (2,)."""
+    def at_warp(self) -> IntArray:
+        """Places of the board's warp, shape (2,)."""
         first = self.after_lenses
-        return np.arange(first, first + BOW)
+        return np.arange(first, first + WARP)
 
     @property
     def at_rig(self) -> IntArray:
         """Places of the free unknowns of the rig."""
-        first = int(self.at_bow[-1]) + 1
+        first = int(self.at_warp[-1]) + 1
         return np.arange(first, first + len(self.names))
 
     @property
     def at_held(self) -> IntArray:
         """Places of the errors of shared readings."""
-        first = int(self.at_bow[-1]) + 1 + len(self.names)
+        first = int(self.at_warp[-1]) + 1 + len(self.names)
         return np.arange(first, first + len(self.pictures.shared))
 
     @property
     def size(self) -> int:
         """Number of shared unknowns."""
-        return int(self.at_bow[-1]) + 1 + len(self.names) + len(self.pictures.shared)
+        return int(self.at_warp[-1]) + 1 + len(self.names) + len(self.pictures.shared)
 
-    def start(self, rig: FloatArray, bow: FloatArray, poses: FloatArray) -> Unknowns:
+    def start(self, rig: FloatArray, warp: FloatArray, poses: FloatArray) -> Unknowns:
         """Return the unknowns of the cameras given, a rig, a board and these poses, (v, 6)."""
         own = [RIG.index(name) for name in self.names]
         held = np.zeros(len(self.pictures.shared))
         return Unknowns(
-            np.concatenate([*self.lenses, bow, rig[own], held]), np.vstack([poses, np.zeros(POSE)])
+            np.concatenate([*self.lenses, warp, rig[own], held]), np.vstack([poses, np.zeros(POSE)])
         )
 
     def rig_at(self, x: FloatArray) -> FloatArray:

@@ -16,7 +16,7 @@ from calib.geometry.parameters import MODELS, NAMES, STANDOFF
 from calib.images.adjustment.gates import adjustment_gates, left_out
 from calib.images.adjustment.gather import Taken, gather
 from calib.images.adjustment.mounting import HEIGHT, PITCH, RIG, pose_by_rig
-from calib.images.adjustment.solve import Solution, hold, solve
+from calib.images.adjustment.solve import AdjustmentSolution, hold, solve
 from calib.images.bundle import inverse
 from calib.images.stereo.solve import CameraPair
 
@@ -209,7 +209,7 @@ def _free(model: str) -> tuple[str, ...]:
     return tuple(name for name in RIG if name in wanted)
 
 
-def _contradiction(found: Solution, names: tuple[str, ...]) -> str:
+def _contradiction(found: AdjustmentSolution, names: tuple[str, ...]) -> str:
     """Return what the pictures say against holding all but some unknowns at 0; "" if nothing.
 
     Wald's test of the estimates, with priors.
@@ -229,7 +229,9 @@ def _contradiction(found: Solution, names: tuple[str, ...]) -> str:
     )
 
 
-def _described(model: str, s: Solution, complete: Solution, reading: float) -> AdjustedModel:
+def _described(
+    model: str, s: AdjustmentSolution, complete: AdjustmentSolution, reading: float
+) -> AdjustedModel:
     problem, spread = s.problem, s.covariance
     names = tuple(name for name in NAMES if name in problem.names)
     at = problem.at_rig[[problem.names.index(name) for name in names]]
@@ -271,7 +273,7 @@ def _described(model: str, s: Solution, complete: Solution, reading: float) -> A
     )
 
 
-def _with_held(s: Solution, at: IntArray, by_rig: FloatArray) -> FloatArray:
+def _with_held(s: AdjustmentSolution, at: IntArray, by_rig: FloatArray) -> FloatArray:
     """Return what the error of the pairs' reading adds to `AdjustedModel.with_pose`, (p, 6)."""
     problem, pictures = s.problem, s.problem.pictures
     paired = [k for k, kind in enumerate(pictures.kinds) if kind == "pair"]
@@ -286,7 +288,7 @@ NEARLY_NO_PRIOR = 1e-8
 """Share of the priors' precision left when asking what the pictures alone determine."""
 
 
-def _data_share(s: Solution) -> FloatArray:
+def _data_share(s: AdjustmentSolution) -> FloatArray:
     """Return standard deviations of the rig over those without priors, one a free unknown."""
     matrix = s.reduced.normals.sum(axis=0)
     known = s.reduced.normals[-1].copy()

@@ -18,7 +18,7 @@ import numpy as np
 from calib.core.arrays import BoolArray, FloatArray, IntArray
 from calib.geometry.camera import Camera
 from calib.images.adjustment.model import Evaluation, board_covariance, evaluate
-from calib.images.adjustment.problem import Problem
+from calib.images.adjustment.problem import AdjustmentProblem
 from calib.images.adjustment.steadiness import turn_covariance
 from calib.images.bundle import finite, proven
 from calib.images.joint.allowance import breathing_covariance
@@ -43,7 +43,7 @@ _ROUNDS = 12
 
 
 @dataclass(frozen=True)
-class Solution:
+class AdjustmentSolution:
     """A solved adjustment.
 
     Parameters
@@ -72,7 +72,7 @@ class Solution:
         Of each reading, shape (e,).
     """
 
-    problem: Problem
+    problem: AdjustmentProblem
     reduced: Reduced
     weight: FloatArray
     covariance: FloatArray
@@ -98,11 +98,11 @@ class Solution:
     @property
     def board_warp_mm(self) -> tuple[float, float]:
         """Board deformation along x and y, mm."""
-        a, b = (float(v) for v in self.reduced.at.shared[self.problem.at_bow])
+        a, b = (float(v) for v in self.reduced.at.shared[self.problem.at_warp])
         return a, b
 
 
-def solve(problem: Problem, start: Unknowns) -> Solution:
+def solve(problem: AdjustmentProblem, start: Unknowns) -> AdjustmentSolution:
     """Solve, with outliers rejected and variances estimated.
 
     Raises
@@ -140,7 +140,7 @@ def solve(problem: Problem, start: Unknowns) -> Solution:
     return _solution(problem, reduced, weight, spread)
 
 
-def hold(solution: Solution, names: tuple[str, ...]) -> Solution:
+def hold(solution: AdjustmentSolution, names: tuple[str, ...]) -> AdjustmentSolution:
     """Return the solution with only these unknowns of the rig free, the others 0.
 
     Weights and variances are those of `solution`.
@@ -162,11 +162,13 @@ def hold(solution: Solution, names: tuple[str, ...]) -> Solution:
     return _solution(problem, reduced, solution.weight, solution.sigma_px)
 
 
-def _normals(problem: Problem, weight: FloatArray) -> Callable[[Unknowns], ViewNormals]:
+def _normals(problem: AdjustmentProblem, weight: FloatArray) -> Callable[[Unknowns], ViewNormals]:
     return lambda at: evaluate(problem, at, weight).normals
 
 
-def _rescaled(problem: Problem, at: Unknowns, factor: float) -> tuple[Problem, Unknowns]:
+def _rescaled(
+    problem: AdjustmentProblem, at: Unknowns, factor: float
+) -> tuple[AdjustmentProblem, Unknowns]:
     """Return the problem with another uncertainty of readings, and the same unknowns in it."""
     std = max(problem.reading_std_rad * factor, LEAST_READING_STD_RAD)
     shared = at.shared.copy()
@@ -174,7 +176,7 @@ def _rescaled(problem: Problem, at: Unknowns, factor: float) -> tuple[Problem, U
     return replace(problem, reading_std_rad=std), Unknowns(shared, at.own)
 
 
-def _reading_factor(problem: Problem, reduced: Reduced, found: Evaluation) -> float:
+def _reading_factor(problem: AdjustmentProblem, reduced: Reduced, found: Evaluation) -> float:
     """Return the standard deviation of the readings' errors over the one assumed.
 
     Their variance component, as far as proven: see `calib.images.sweep.solve`.
@@ -187,7 +189,9 @@ def _reading_factor(problem: Problem, reduced: Reduced, found: Evaluation) -> fl
     return max(SMALLEST_STEP, float(np.sqrt(proven(ratio, freedom=freedom))))
 
 
-def reading_variances(problem: Problem, reduced: Reduced, found: Evaluation) -> FloatArray:
+def reading_variances(
+    problem: AdjustmentProblem, reduced: Reduced, found: Evaluation
+) -> FloatArray:
     """Return what is uncertain of the errors of readings, over their variance as assumed.
 
     Those of one picture each, then the shared ones. With H the derivative of an error by shared
@@ -204,8 +208,8 @@ def reading_variances(problem: Problem, reduced: Reduced, found: Evaluation) -> 
 
 
 def _solution(
-    problem: Problem, reduced: Reduced, weight: FloatArray, sigma_px: dict[str, float]
-) -> Solution:
+    problem: AdjustmentProblem, reduced: Reduced, weight: FloatArray, sigma_px: dict[str, float]
+) -> AdjustmentSolution:
     found = evaluate(problem, reduced.at, weight)
     pictures, x = problem.pictures, reduced.at.shared
     own = clusters_of(pictures, problem.points)
@@ -224,7 +228,7 @@ def _solution(
     covariance = reduced.spread() * np.outer(scale, scale) + board
     allowance = breathing_covariance(problem, reduced, shown, max(factors))
     allowance += turn_covariance(problem, reduced, shown, factors[2])
-    return Solution(
+    return AdjustmentSolution(
         problem=problem,
         reduced=reduced,
         weight=weight,

@@ -17,7 +17,7 @@ from scipy.stats import t as student
 
 from calib.core.arrays import BoolArray, FloatArray, IntArray
 from calib.images.adjustment.mounting import RIG, rig_by_turn_of_c1
-from calib.images.adjustment.problem import Problem
+from calib.images.adjustment.problem import AdjustmentProblem
 from calib.images.bundle import finite
 from calib.images.joint.allowance import allowed
 from calib.images.joint.changes import MIN_IMAGES, Solved, estimate
@@ -59,7 +59,7 @@ class TurnOfC1:
 
 
 def turn_of_c1(
-    found: Solved, problem: Problem, rig: FloatArray, errors: FloatArray
+    found: Solved, problem: AdjustmentProblem, rig: FloatArray, errors: FloatArray
 ) -> TurnOfC1 | None:
     """Return the drift; None where too few rows have pictures of both cameras.
 
@@ -114,7 +114,7 @@ def _trend(errors: FloatArray, readings: FloatArray) -> tuple[float, float]:
 
 
 def turn_covariance(
-    problem: Problem, reduced: Reduced, used: BoolArray, factor: float
+    problem: AdjustmentProblem, reduced: Reduced, used: BoolArray, factor: float
 ) -> FloatArray:
     """Return what a drift of C1 in the course of the rows adds, shape (n, n).
 
@@ -139,13 +139,13 @@ def turn_covariance(
     return added
 
 
-def _turning(problem: Problem, rig: FloatArray) -> FloatArray:
+def _turning(problem: AdjustmentProblem, rig: FloatArray) -> FloatArray:
     """Return how a turn of C1 moves the free unknowns of the rig, shape (free, 3)."""
     moved: FloatArray = rig_by_turn_of_c1(rig)[[RIG.index(name) for name in problem.names]]
     return moved
 
 
-def _rows(problem: Problem, used: BoolArray) -> IntArray:
+def _rows(problem: AdjustmentProblem, used: BoolArray) -> IntArray:
     """Return C2's pictures of rows of which C1 has one too, in the order of the rows."""
     pictures = problem.pictures
     both = np.isin(pictures.view, pictures.view[(pictures.camera == 0) & used])
@@ -154,7 +154,9 @@ def _rows(problem: Problem, used: BoolArray) -> IntArray:
     )
 
 
-def _ways(problem: Problem, reduced: Reduced, rig: FloatArray, used: BoolArray) -> FloatArray:
+def _ways(
+    problem: AdjustmentProblem, reduced: Reduced, rig: FloatArray, used: BoolArray
+) -> FloatArray:
     """Return how a turn moves the shared unknowns of each view, shape (3, v + 1, n)."""
     pictures = problem.pictures
     rows = pictures.view[_rows(problem, used)]

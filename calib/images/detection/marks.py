@@ -40,7 +40,7 @@ _TRIED_ON = 2
 
 
 @dataclass(frozen=True)
-class Pattern:
+class WindowPattern:
     """How corners of two windows differ on the board, in all pictures alike.
 
     Parameters
@@ -71,7 +71,7 @@ def small_windows(gaps: FloatArray) -> FloatArray:
 
 def window_pattern(
     large: Sequence[FloatArray], small: Sequence[FloatArray], board: Board
-) -> Pattern | None:
+) -> WindowPattern | None:
     """Return the pattern of the differences; None where there are too few pictures.
 
     Parameters
@@ -89,7 +89,7 @@ def window_pattern(
         return None
     differences = np.array(large) - np.array(small)
     px = float(np.sqrt(np.nanmean(differences**2)))
-    return Pattern(spacings=repeated[0], px=px, ratio=repeated[1])
+    return WindowPattern(spacings=repeated[0], px=px, ratio=repeated[1])
 
 
 def repeated_pattern(apart: FloatArray) -> tuple[float, float] | None:

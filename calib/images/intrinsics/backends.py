@@ -166,7 +166,7 @@ def _own(corners: Corners, points: FloatArray) -> tuple[LensFit | None, tuple[st
     """Return this program's fit of an equidistant lens, or why there is none."""
     try:
         start = equidistant_start(corners, points)
-        return fit_views(corners, points, start=start, lens=WIDE, bow=True), ()
+        return fit_views(corners, points, start=start, lens=WIDE, warp=True), ()
     except EstimationError as error:
         return None, (f"{WIDE}: {error}",)
 

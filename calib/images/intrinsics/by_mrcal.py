@@ -20,7 +20,7 @@ from calib.images.mrcal.solves import (
     MIN_CORNERS,
     LensGrid,
     MrcalSolution,
-    Start,
+    StartingPoint,
     focal_start,
     lens_fits,
     solve,
@@ -89,7 +89,7 @@ def fit_mrcal(
     others: Mapping[str, LensFit],
     field_deg: tuple[float, float] | None = None,
 ) -> MrcalFits:
-    """Return intrinsics by mrcal for each lens model, and with a splined one; the board may bow.
+    """Return intrinsics by mrcal for each lens model, and with a splined one; the board may warp.
 
     Where a fit fails, or is worse than another backend's, mrcal starts once more from that one.
 
@@ -122,7 +122,7 @@ def fit_mrcal(
         if isinstance(first, MrcalSolution) and first.rms_px <= WORSE * other.rms_px:
             return first
         lens = intrinsic_vector(other.camera)[None]
-        start = Start(lens, np.zeros((0, 6)), _all_poses(other, corners, board))
+        start = StartingPoint(lens, np.zeros((0, 6)), _all_poses(other, corners, board))
         again = _attempt(corners, board, models[name], seed=seed, start=start, grid=grid)
         if isinstance(again, MrcalSolution) and (
             not isinstance(first, MrcalSolution) or again.rms_px < first.rms_px

@@ -32,7 +32,7 @@ _CRITERIA = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, MAX_STEPS, DONE)
 
 
 @dataclass(frozen=True)
-class Solution:
+class OpencvSolution:
     """What a least-squares solve over given corners found.
 
     Parameters
@@ -109,7 +109,7 @@ def solve_views(
     lens: str,
     points: FloatArray,
     start: Camera | None = None,
-) -> Solution:
+) -> OpencvSolution:
     """Solve over the corners `used`, shape (views, corners); parameters as `fit_opencv`.
 
     Raises
@@ -164,7 +164,7 @@ def solve_views(
             "tilts and distances"
         )
     projection = LENSES[lens].projection
-    return Solution(camera_from_vector(vector, corners.image_size, projection), poses)
+    return OpencvSolution(camera_from_vector(vector, corners.image_size, projection), poses)
 
 
 def _start(
@@ -181,7 +181,7 @@ def _start(
     return np.array([[focal, 0, middle[0]], [0, focal, middle[1]], [0, 0, 1.0]]), distortion
 
 
-def residuals_of(solution: Solution, corners: Corners, points: FloatArray) -> FloatArray:
+def residuals_of(solution: OpencvSolution, corners: Corners, points: FloatArray) -> FloatArray:
     """Return observed minus projected, px, shape (views, corners, 2); NaN where there is none."""
     residuals = np.full_like(corners.pixels, np.nan)
     for i in np.flatnonzero(seen(solution.poses)):

@@ -17,7 +17,7 @@ from calib.core.errors import EstimationError
 from calib.geometry.board import Corners, LensFit
 from calib.geometry.camera import Camera, intrinsic_vector, project_points, with_intrinsics
 from calib.geometry.poses import rotation, transform, transformed_by_pose
-from calib.images.bundle import bow_shapes, deformed
+from calib.images.bundle import deformed, warp_shapes
 from calib.images.detection.grid import seen
 from calib.images.intrinsics.covariance import view_scores
 from calib.images.intrinsics.inliers import without_outliers
@@ -53,7 +53,7 @@ class Views:
         Corners found, px, shape (views, corners, 2).
     used
         Which of them count, shape (views, corners).
-    bow
+    warp
         Whether the board deformation is an unknown.
     """
 
@@ -61,7 +61,7 @@ class Views:
     points: FloatArray
     pixels: FloatArray
     used: BoolArray
-    bow: bool
+    warp: bool
 
     @property
     def lens(self) -> int:
@@ -73,8 +73,8 @@ class Views:
         return with_intrinsics(self.camera, at.shared[: self.lens])
 
     def warp_at(self, at: Unknowns) -> tuple[float, float] | None:
-        """Return the bow of the unknowns, mm; None where it is no unknown."""
-        if not self.bow:
+        """Return the warp of the unknowns, mm; None where it is no unknown."""
+        if not self.warp:
             return None
         x, y = (float(v) for v in at.shared[self.lens :])
         return x, y
@@ -100,12 +100,12 @@ class Views:
             np.zeros((count, POSE)),
             0.0,
         )
-        bows, cost = bow_shapes(self.points), 0.0
+        bows, cost = warp_shapes(self.points), 0.0
         for i in np.flatnonzero(self.used.any(axis=-1)):
             own = self.used[i]
             view = project_points(camera, transform(at.own[i], points[own]))
             a = view.by_intrinsics
-            if self.bow:
+            if self.warp:
                 lift = view.by_point @ rotation(at.own[i, :3])[:, 2]
                 a = np.concatenate([a, lift[..., None] * bows[own, None, :]], axis=-1)
             a = a.reshape(-1, size)
@@ -118,7 +118,7 @@ class Views:
 
 
 def fit_views(
-    corners: Corners, points: FloatArray, *, start: Camera, lens: str, bow: bool
+    corners: Corners, points: FloatArray, *, start: Camera, lens: str, warp: bool
 ) -> LensFit:
     """Return intrinsics of the lens model of `start`, outliers rejected.
 
@@ -128,7 +128,7 @@ def fit_views(
         Corners in the board's frame, mm, shape (corners, 3).
     lens
         Name of the lens model.
-    bow
+    warp
         Whether the board may be bowed.
 
     Raises
@@ -140,7 +140,7 @@ def fit_views(
     used[used.sum(axis=-1) < MIN_CORNERS] = False
     camera = start
     for _ in range(_ROUNDS):
-        problem = Views(camera, points, corners.pixels, used, bow)
+        problem = Views(camera, points, corners.pixels, used, warp)
         at = solve(problem)
         residuals = problem.residuals_at(at)
         camera, kept = problem.camera_at(at), without_outliers(residuals, used)
@@ -148,9 +148,9 @@ def fit_views(
             break
         used = kept
     residuals[~used] = np.nan
-    warp = problem.warp_at(at)
-    shaped = deformed(points, warp)
-    scores = view_scores(camera, at.own, residuals, shaped, bow=bow)
+    solved_mm = problem.warp_at(at)
+    shaped = deformed(points, solved_mm)
+    scores = view_scores(camera, at.own, residuals, shaped, warp=warp)
     found = seen(corners.pixels)
     rejected = found & ~used
     rejected[found.sum(axis=-1) < MIN_CORNERS] = False
@@ -163,7 +163,7 @@ def fit_views(
         residuals=residuals,
         poses=at.own,
         rejected=int(rejected.sum()),
-        board_warp_mm=warp,
+        board_warp_mm=solved_mm,
     )
 
 
@@ -184,8 +184,8 @@ def solve(problem: Views) -> Unknowns:
     for i in views:
         pixels = np.where(problem.used[i, :, None], problem.pixels[i], np.nan)
         poses[i] = single_view_pose(problem.camera, points=problem.points, pixels=pixels)[0]
-    bow = np.zeros(2 if problem.bow else 0)
-    start = Unknowns(np.concatenate([intrinsic_vector(problem.camera), bow]), poses)
+    warp = np.zeros(2 if problem.warp else 0)
+    start = Unknowns(np.concatenate([intrinsic_vector(problem.camera), warp]), poses)
     at = minimise_views(_evaluation(problem), start, done=_DONE_PX2).at
     own = at.own.copy()
     own[~problem.used.any(axis=-1)] = np.nan

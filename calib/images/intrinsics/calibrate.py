@@ -301,8 +301,8 @@ def _enlarged(fit: LensFit, points: FloatArray, clusters: IntArray) -> tuple[Len
     clusters
         Of each view, shape (views,).
     """
-    bow = fit.board_warp_mm is not None
-    scores = view_scores(fit.camera, fit.poses, fit.residuals, points, bow=bow)
+    warp = fit.board_warp_mm is not None
+    scores = view_scores(fit.camera, fit.poses, fit.residuals, points, warp=warp)
     factor = scores.dispersion(clusters[views_of(fit)])
     covariance = fit.covariance * factor + scores.board_covariance()
     return replace(fit, covariance=covariance), factor

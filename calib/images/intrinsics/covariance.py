@@ -11,7 +11,7 @@ from calib.core.errors import EstimationError
 from calib.geometry.camera import Camera, project_points
 from calib.geometry.poses import rotation, transform, transformed_by_pose
 from calib.images.board_errors import BoardSums, Equations
-from calib.images.bundle import bow_shapes, inverse
+from calib.images.bundle import inverse, warp_shapes
 from calib.images.detection.grid import seen
 from calib.images.disagreement import view_factor
 
@@ -107,7 +107,7 @@ def view_scores(
     residuals: FloatArray,
     points: FloatArray,
     *,
-    bow: bool = False,
+    warp: bool = False,
 ) -> ViewScores:
     """Return normal matrices and scores of the intrinsics, in the order of `intrinsic_names`.
 
@@ -119,12 +119,12 @@ def view_scores(
         Observed minus projected, px, shape (views, corners, 2); NaN where not used.
     points
         Corners in the board's frame, mm, shape (corners, 3).
-    bow
+    warp
         Whether the board deformation was solved too.
     """
     used = seen(residuals)
-    lens, extra = 4 + len(camera.distortion), 2 if bow else 0
-    bows = bow_shapes(points)
+    lens, extra = 4 + len(camera.distortion), 2 if warp else 0
+    bows = warp_shapes(points)
     size = lens + extra
     sums = BoardSums(len(residuals), len(points), size)
     normals, scores = [], []
@@ -134,9 +134,9 @@ def view_scores(
         by_lens = projection.by_intrinsics
         by_pose = projection.by_point @ transformed_by_pose(poses[i], on_board)
         by_place = projection.by_point @ rotation(poses[i][:3])
-        if bow:
-            by_bow = by_place[..., 2, None] * bows[used[i], None, :]
-            by_lens = np.concatenate([by_lens, by_bow], axis=-1)
+        if warp:
+            by_warp = by_place[..., 2, None] * bows[used[i], None, :]
+            by_lens = np.concatenate([by_lens, by_warp], axis=-1)
         off = residuals[i, used[i]]
         here = np.array([i])
         sums.add(Equations(here, *(_padded(v, used[i]) for v in (off, by_lens, by_pose, by_place))))

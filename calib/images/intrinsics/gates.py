@@ -56,7 +56,7 @@ AGREEMENT_MAX_PX = 1.0
 says so."""
 
 FLAT_MAX_PX = 2.0
-"""By this at most may OpenCV on the board as drawn differ: a bow of 0.5 mm of a board of 300 mm
+"""By this at most may OpenCV on the board as drawn differ: a warp of 0.5 mm of a board of 300 mm
 makes 1 px of a lens of 800 px."""
 
 WORSE = 1.1
@@ -79,14 +79,16 @@ NAMED = 5
 
 
 @dataclass(frozen=True)
-class LeftOut:
+class LeftOutPictures:
     """Pictures of which a fit rejected most corners, and the number of those corners."""
 
     images: tuple[str, ...]
     corners: int
 
 
-def views_left_out(images: tuple[str, ...], pixels: FloatArray, residuals: FloatArray) -> LeftOut:
+def views_left_out(
+    images: tuple[str, ...], pixels: FloatArray, residuals: FloatArray
+) -> LeftOutPictures:
     """Return the images of which a fit rejected over half of the corners.
 
     Parameters
@@ -96,7 +98,7 @@ def views_left_out(images: tuple[str, ...], pixels: FloatArray, residuals: Float
     """
     found, kept = finite(pixels).sum(axis=-1), finite(residuals).sum(axis=-1)
     out = np.flatnonzero(2 * kept < found)
-    return LeftOut(tuple(images[i] for i in out), int((found - kept)[out].sum()))
+    return LeftOutPictures(tuple(images[i] for i in out), int((found - kept)[out].sum()))
 
 
 def orientation_fault(poses: FloatArray) -> str | None:
@@ -139,7 +141,7 @@ def intrinsics_gates(
     validation: CrossValidation,
     *,
     agreement: LensDifference | None,
-    left_out: LeftOut,
+    left_out: LeftOutPictures,
     flat: LensDifference | None = None,
     uncertainty: LensMap | None = None,
 ) -> tuple[Gate, ...]:
@@ -189,7 +191,7 @@ def _flat_words(flat: LensDifference | None) -> str:
     return f"; OpenCV on the board as drawn by {flat.rms_px:.3f} px (at most {FLAT_MAX_PX:g})"
 
 
-def _residual_gate(name: str, fit: LensFit, left_out: LeftOut) -> Gate:
+def _residual_gate(name: str, fit: LensFit, left_out: LeftOutPictures) -> Gate:
     """Gate on residuals; a few pictures left out whole are told, and count no rejected corners."""
     few = len(left_out.images) <= LEFT_OUT_LIMIT * len(fit.residuals)
     said, remedy = "", "check columns and rows of [board], and that the images are of one camera"

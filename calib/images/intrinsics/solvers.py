@@ -31,7 +31,7 @@ def solve_lens(
     """
     if LENSES[lens].projection == "perspective":
         return solve_views(corners, board, used, lens=lens, points=points, start=start).camera
-    problem = Views(start, points, corners.pixels, used, bow=False)
+    problem = Views(start, points, corners.pixels, used, warp=False)
     return problem.camera_at(solve(problem))
 
 
@@ -47,4 +47,4 @@ def fit_lens(
     """
     if LENSES[lens].projection == "perspective":
         return fit_opencv(corners, board, lens=lens, points=points, start=start)
-    return fit_views(corners, points, start=start, lens=lens, bow=False)
+    return fit_views(corners, points, start=start, lens=lens, warp=False)

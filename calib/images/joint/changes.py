@@ -140,7 +140,7 @@ def _changes(joint: Solved, told: dict[int, FloatArray], between: str) -> list[F
     ]
 
 
-def _estimate(joint: Solved, told: dict[int, FloatArray]) -> Estimate | None:
+def _estimate(joint: Solved, told: dict[int, FloatArray]) -> ChangeEstimate | None:
     """Return the changes of focal length of the cameras together; None where they stay open."""
     at = [joint.problem.at_lens(c) for c in told]
     way = np.zeros((len(told), *joint.reduced.scores.shape))
@@ -149,7 +149,7 @@ def _estimate(joint: Solved, told: dict[int, FloatArray]) -> Estimate | None:
     return estimate(joint, way, at)
 
 
-class Estimate(NamedTuple):
+class ChangeEstimate(NamedTuple):
     """Changes along k ways, their u with dispersion, the factors, and chi squared without."""
 
     beta: FloatArray
@@ -158,7 +158,7 @@ class Estimate(NamedTuple):
     squares: float
 
 
-def estimate(joint: Solved, way: FloatArray, at: list[IntArray]) -> Estimate | None:
+def estimate(joint: Solved, way: FloatArray, at: list[IntArray]) -> ChangeEstimate | None:
     """Return the changes along ways together; None where something leaves them open.
 
     Parameters
@@ -183,4 +183,4 @@ def estimate(joint: Solved, way: FloatArray, at: list[IntArray]) -> Estimate | N
     left = replace(reduced, scores=scores)
     factors = np.array([dispersion(left, own, joint.clusters) for own in at])
     std = np.sqrt(factors * np.diag(variance))
-    return Estimate(beta, std, factors, float(beta @ told.information @ beta))
+    return ChangeEstimate(beta, std, factors, float(beta @ told.information @ beta))

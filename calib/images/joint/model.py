@@ -22,7 +22,7 @@ from calib.images.joint.reduced import Unknowns, ViewNormals
 from calib.images.joint.unknowns import LensesAndBoard
 
 POSE = 6
-BOW = 2
+WARP = 2
 
 
 @dataclass(frozen=True)
@@ -89,19 +89,19 @@ class JointProblem(LensesAndBoard):
         return np.arange(first, first + POSE)
 
     @property
-    def at_bow(self) -> IntArray:
-        """Places of the board's bow, shape (2,)."""
+    def at_warp(self) -> IntArray:
+        """Places of the board's warp, shape (2,)."""
         first = int(self.at_pose[-1]) + 1
-        return np.arange(first, first + BOW)
+        return np.arange(first, first + WARP)
 
     @property
     def size(self) -> int:
         """Number of shared unknowns."""
-        return int(self.at_bow[-1]) + 1
+        return int(self.at_warp[-1]) + 1
 
     def start(self, pose_12: FloatArray, poses: FloatArray) -> Unknowns:
         """Return the unknowns of the cameras given, a flat board and these poses."""
-        return Unknowns(np.concatenate([*self.lenses, pose_12, np.zeros(BOW)]), poses)
+        return Unknowns(np.concatenate([*self.lenses, pose_12, np.zeros(WARP)]), poses)
 
 
 def residuals_of(problem: JointProblem, at: Unknowns) -> FloatArray:
@@ -228,9 +228,9 @@ def _point_derivatives(problem: JointProblem, at: Unknowns) -> tuple[FloatArray,
     by_own[..., :3] = np.einsum("vjab,nb->vnaj", np.stack(slopes), board)
     by_own[..., 3:] = np.eye(3)
     flat = problem.points * np.array([1.0, 1.0, 0.0])
-    bow = np.stack([deformed(flat, b)[:, 2] for b in ((1.0, 0.0), (0.0, 1.0))], axis=-1)
-    by_bow = turn[:, None, :, 2, None] * bow[None, :, None, :]
-    by_own, by_bow = by_own[images.view], by_bow[images.view]
+    warp = np.stack([deformed(flat, b)[:, 2] for b in ((1.0, 0.0), (0.0, 1.0))], axis=-1)
+    by_warp = turn[:, None, :, 2, None] * warp[None, :, None, :]
+    by_own, by_warp = by_own[images.view], by_warp[images.view]
     by_shared = np.zeros((len(images.view), len(board), 3, problem.size))
     pose_12, pair = at.shared[problem.at_pose], images.in_pair
     back, slope = _turn(-pose_12[:3])
@@ -242,8 +242,8 @@ def _point_derivatives(problem: JointProblem, at: Unknowns) -> tuple[FloatArray,
     by_shift[pair] = -back
     by_shared[..., pose[:3]], by_shared[..., pose[3:]] = by_turn, by_shift
     by_own[pair] = back @ by_own[pair]
-    by_bow[pair] = back @ by_bow[pair]
-    by_shared[..., problem.at_bow] = by_bow
+    by_warp[pair] = back @ by_warp[pair]
+    by_shared[..., problem.at_warp] = by_warp
     return by_shared, by_own
 
 

@@ -271,13 +271,13 @@ def _result(
     covariance = spread * np.outer(scale, scale) + board_covariance(problem, reduced.at, weight)
     images_used: BoolArray = np.asarray(used.any(axis=-1))
     allowance = breathing_covariance(problem, reduced, images_used, max(factors))
-    bow_x, bow_y = (float(v) for v in x[problem.at_bow])
+    warp_x, warp_y = (float(v) for v in x[problem.at_warp])
     return JointSolve(
         problem=problem,
         reduced=reduced,
         cameras=(problem.camera_at(x, 0), problem.camera_at(x, 1)),
         pose_12=x[problem.at_pose],
-        board_warp_mm=(bow_x, bow_y),
+        board_warp_mm=(warp_x, warp_y),
         covariance=covariance + allowance,
         allowance=allowance,
         factors=(factors[0], factors[1], factors[2]),

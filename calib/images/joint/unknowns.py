@@ -65,8 +65,8 @@ class LensesAndBoard:
 
     @property
     @abstractmethod
-    def at_bow(self) -> IntArray:
-        """Places of the board's bow, shape (2,)."""
+    def at_warp(self) -> IntArray:
+        """Places of the board's warp, shape (2,)."""
 
     def at_lens(self, camera: int) -> IntArray:
         """Places of the intrinsics of a camera among the shared unknowns; none if it is given."""
@@ -94,5 +94,5 @@ class LensesAndBoard:
 
     def board_at(self, x: FloatArray) -> FloatArray:
         """Return the board's corners, mm, shape (corners, 3)."""
-        a, b = (float(v) for v in x[self.at_bow])
+        a, b = (float(v) for v in x[self.at_warp])
         return deformed(self.points, (a, b))

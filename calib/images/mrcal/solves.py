@@ -49,7 +49,7 @@ _STEREOGRAPHIC = 2.0
 
 
 @dataclass(frozen=True)
-class Start:
+class StartingPoint:
     """Intrinsics, and where to start the poses.
 
     Parameters
@@ -148,8 +148,8 @@ def solve(
     lens_model: str,
     seed: int,
     focal_px: Sequence[float] | None = None,
-    held: Start | None = None,
-    start: Start | None = None,
+    held: StartingPoint | None = None,
+    start: StartingPoint | None = None,
     warp: bool = True,
     grid: tuple[int, int] = (12, 16),
 ) -> MrcalSolution:

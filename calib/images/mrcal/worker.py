@@ -142,7 +142,7 @@ class Problem:
         return float((x.reshape(*used.shape, 2)[used] ** 2).sum())
 
     def free_board(self) -> None:
-        """Let the board bow from now on."""
+        """Let the board warp from now on."""
         self.inputs.update(calobject_warp=np.zeros(2), do_optimize_calobject_warp=True)
 
 

@@ -49,7 +49,7 @@ def solve_jointly(
 def solve_held(
     start: PairStart, pairs: tuple[Corners, Corners], board: Board, rig: CameraPair
 ) -> StereoSolve:
-    """Solve pose and bow from the pairs with the lenses held, their uncertainty carried through.
+    """Solve pose and warp from the pairs with the lenses held, their uncertainty carried through.
 
     Raises
     ------

@@ -13,7 +13,7 @@ from calib.images.joint.drifts import CentreShift, PoseDrift, centre_shifts, pos
 from calib.images.joint.solve import JointSolve
 from calib.images.pairs import PairStart
 from calib.images.stereo.solve import StereoSolve
-from calib.images.stereo.triangulate import Targets, midpoints
+from calib.images.stereo.triangulate import PairTargets, midpoints
 
 AGREEMENT_CHI2 = 22.5
 """0.999 quantile of chi squared with 6 degrees of freedom."""
@@ -61,7 +61,7 @@ def agreement_gate(
 ) -> Gate:
     """Gate on other backends: each must find the same depths, mrcal the same pose too.
 
-    OpenCV takes the board to be flat, so that it differs in the pose by what a bow does. `missing`
+    OpenCV takes the board to be flat, so that it differs in the pose by what a warp does. `missing`
     says of backends why they are not among them.
     """
     passed, told = True, list(missing)
@@ -182,7 +182,7 @@ def steady_gates(shifts: tuple[CentreShift, ...], drift: PoseDrift | None) -> tu
     return tuple(gates)
 
 
-def target_gates(targets: Targets) -> tuple[Gate, ...]:
+def target_gates(targets: PairTargets) -> tuple[Gate, ...]:
     """Gates on the targets' depths: sharp enough, and confirmed by the board's pose in C1."""
     if not targets.stems:
         return ()

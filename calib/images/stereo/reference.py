@@ -45,7 +45,7 @@ from calib.images.stereo.solve import (
     joint_covariance,
     solve_mrcal,
 )
-from calib.images.stereo.triangulate import Targets, find_targets
+from calib.images.stereo.triangulate import PairTargets, find_targets
 from calib.images.stereo.wide import any_wide
 
 ROLL_LIMIT_RAD = float(np.deg2rad(45.0))
@@ -109,7 +109,7 @@ class StereoReference:
     baseline_std_mm: float
     rms_px: float
     solves: tuple[StereoSolve, ...]
-    targets: Targets
+    targets: PairTargets
     gates: tuple[Gate, ...]
     lenses: tuple[RefinedLens, ...]
 
@@ -256,7 +256,7 @@ def _reference(
     pose_12: FloatArray,
     covariance: FloatArray,
     solves: tuple[StereoSolve, ...],
-    targets: Targets,
+    targets: PairTargets,
     gates: tuple[Gate, ...],
     lenses: tuple[RefinedLens, ...],
 ) -> StereoReference:

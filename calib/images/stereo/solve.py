@@ -1,7 +1,7 @@
 """The pose of C2 in C1 by two backends, and its covariance.
 
 Intrinsics are held at what the intrinsics stage found, so that every later step uses one camera.
-Their uncertainty is carried through: with u the pose of C2, the board poses and the bow of the
+Their uncertainty is carried through: with u the pose of C2, the board poses and the warp of the
 board, and k the intrinsics, least squares makes
 
     d u = -N_uu^-1 N_uk d k + N_uu^-1 J_u' noise,      N = J'J.
@@ -138,7 +138,7 @@ def solve_mrcal(start: PairStart, board: Board, rig: CameraPair, *, seed: int) -
         both = zip(rig.cameras, start.pixels, strict=True)
         shown = replace(start, pixels=np.stack([as_stereographic(c, p) for c, p in both]))
     pose_21 = invert_pose(start.pose_12, np.zeros((6, 6)))[0]
-    held = solves.Start(intrinsics, pose_21[None], start.poses)
+    held = solves.StartingPoint(intrinsics, pose_21[None], start.poses)
     solution = solves.solve(
         _as_corners(shown, rig.cameras),
         board,
@@ -264,7 +264,7 @@ def _dispersion(pairs: list[list[Block]], known: int) -> float:
     """Return how much more the pairs contradict each other in the pose than noise explains.
 
     What an error of the intrinsics does to all pairs alike is no contradiction, so the residuals
-    are first cleared of it, by a step of all unknowns, intrinsics and bow included. Where the
+    are first cleared of it, by a step of all unknowns, intrinsics and warp included. Where the
     pairs leave these open, 1: too few pairs to tell.
     """
     whole = [pair for pair in pairs if all(len(b.residuals) for b in pair)]
@@ -325,6 +325,6 @@ def _pair_blocks(
 
 
 def _points_by_warp(points: FloatArray) -> FloatArray:
-    """Return d(board point)/d(bow), shape (n, 3, 2)."""
+    """Return d(board point)/d(warp), shape (n, 3, 2)."""
     flat = points * np.array([1.0, 1.0, 0.0])
-    return np.stack([deformed(flat, bow) - flat for bow in ((1.0, 0.0), (0.0, 1.0))], axis=-1)
+    return np.stack([deformed(flat, warp) - flat for warp in ((1.0, 0.0), (0.0, 1.0))], axis=-1)

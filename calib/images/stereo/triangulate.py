@@ -26,7 +26,7 @@ _NEWTON_STEPS = 5
 
 
 @dataclass(frozen=True)
-class Positions:
+class PairPositions:
     """Positions of one point a pair.
 
     Parameters
@@ -55,7 +55,7 @@ class Positions:
 
 
 @dataclass(frozen=True)
-class Targets:
+class PairTargets:
     """The gazed corner in each pair.
 
     Parameters
@@ -75,16 +75,16 @@ class Targets:
     """
 
     stems: tuple[str, ...]
-    triangulated: Positions
+    triangulated: PairPositions
     shared_names: tuple[str, ...]
     shared_covariance: FloatArray
     depth_std_mm: FloatArray
-    by_board: Positions
+    by_board: PairPositions
     board_sigmas: FloatArray
 
 
 def shared_names(cameras: tuple[Camera, Camera]) -> tuple[str, ...]:
-    """Return the names of the shared quantities, in the order of `Positions.by_shared`."""
+    """Return the names of the shared quantities, in the order of `PairPositions.by_shared`."""
     lenses = [
         f"{place}.{name}"
         for place, camera in zip(("c1", "c2"), cameras, strict=True)
@@ -95,7 +95,7 @@ def shared_names(cameras: tuple[Camera, Camera]) -> tuple[str, ...]:
 
 def triangulate(
     pixels: FloatArray, *, cameras: tuple[Camera, Camera], pose_12: FloatArray, sigma_px: float
-) -> Positions:
+) -> PairPositions:
     """Triangulate points: the position whose images are nearest to the observed ones.
 
     Parameters
@@ -113,7 +113,7 @@ def triangulate(
         points = points - np.einsum("nak,nk->na", np.linalg.pinv(by_point), error)
     error, by_point, by_shared = _errors(points, pixels, cameras, pose_12)
     back = np.linalg.pinv(by_point)
-    return Positions(
+    return PairPositions(
         points,
         sigma_px**2 * back @ back.transpose(0, 2, 1),
         -back @ by_shared,
@@ -128,7 +128,7 @@ def position_on_board(
     cameras: tuple[Camera, Camera],
     sigma_px: float,
     warp_mm: tuple[float, float] | None,
-) -> Positions:
+) -> PairPositions:
     """Return the gazed corner's position by the board's pose in C1 alone.
 
     It needs no C2; the side of a square sets its scale.
@@ -144,7 +144,9 @@ def position_on_board(
     target = shape[[board.target_index]]
     count = 4 + len(cameras[0].distortion)
     n, shared = len(pixels), len(shared_names(cameras))
-    found = Positions(np.empty((n, 3)), np.empty((n, 3, 3)), np.zeros((n, 3, shared)), np.empty(n))
+    found = PairPositions(
+        np.empty((n, 3)), np.empty((n, 3, 3)), np.zeros((n, 3, shared)), np.empty(n)
+    )
     for i, view in enumerate(pixels):
         seen = finite(view)
         points = shape[seen]
@@ -170,7 +172,7 @@ def find_targets(
     shared_covariance: FloatArray,
     sigma_px: float,
     warp_mm: tuple[float, float] | None,
-) -> Targets:
+) -> PairTargets:
     """Return the gazed corner of each pair in which both cameras found it.
 
     Parameters
@@ -203,13 +205,13 @@ def find_targets(
         pixels[0, found], board, cameras=cameras, sigma_px=sigma_px, warp_mm=warp_mm
     )
     difference = by_board.position_mm - triangulated.position_mm
-    spread = Positions(
+    spread = PairPositions(
         difference,
         by_board.covariance + triangulated.covariance,
         by_board.by_shared - triangulated.by_shared,
         by_board.miss_px,
     ).depth_std(shared_covariance)
-    return Targets(
+    return PairTargets(
         stems=tuple(stems[i] for i in found),
         triangulated=triangulated,
         shared_names=shared_names(cameras),

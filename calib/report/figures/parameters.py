@@ -20,7 +20,7 @@ from calib.uncertainty.montecarlo import NORMAL_FACTOR
 
 
 @dataclass(frozen=True)
-class Estimate:
+class FitEstimate:
     """What one fit says of the two parameters that all fits have.
 
     Parameters
@@ -37,7 +37,7 @@ class Estimate:
 
 
 @in_house_style
-def draw_estimates(estimates: Sequence[Estimate]) -> Drawing:
+def draw_estimates(estimates: Sequence[FitEstimate]) -> Drawing:
     """Draw baseline and encoder zero of every fit with 95 % intervals."""
     figure = new_figure(
         height_in=0.75 + 0.28 * len(estimates), margins=Margins(left=1.6, top=0.15, between=0.06)

@@ -12,11 +12,11 @@ from calib.report.blocks import (
     EMPTY,
     Block,
     Cell,
+    Chapter,
     DefinitionList,
     Items,
     Notice,
     Paragraph,
-    Section,
     Table,
     facts,
     table,
@@ -39,11 +39,11 @@ from calib.uncertainty.format import fixed
 _KINDS = {"lens": "for the lens", "pair": "in pairs", "row": "of rows", "sweep": "of the sweep"}
 
 
-def adjustment(c: Calibration, _: ReportContext) -> Section | None:
+def adjustment(c: Calibration, _: ReportContext) -> Chapter | None:
     """Write the adjustment."""
     if c.not_adjusted is not None:
         reason = Notice("bad", "There is none", c.not_adjusted)
-        return Section("adjustment", "Adjustment of all pictures", (reason,))
+        return Chapter("adjustment", "Adjustment of all pictures", (reason,))
     found = c.adjustment
     if found is None:
         return None
@@ -73,7 +73,7 @@ def adjustment(c: Calibration, _: ReportContext) -> Section | None:
         for gate in found.gates
         if not gate.passed
     ]
-    return Section("adjustment", "Adjustment of all pictures", tuple(blocks))
+    return Chapter("adjustment", "Adjustment of all pictures", tuple(blocks))
 
 
 def _choice(gaze: GazeResult) -> Paragraph:
@@ -187,7 +187,7 @@ def _facts(a: Adjustment) -> DefinitionList:
     shift = record.pose_12[3:]
     distance = float(np.linalg.norm(shift))
     u = float(np.sqrt(shift @ record.pose_covariance[3:, 3:] @ shift)) / distance
-    bow = ", ".join(decimals(b, 2).text for b in record.board_warp_mm)
+    warp = ", ".join(decimals(b, 2).text for b in record.board_warp_mm)
     left = f"; left out: {', '.join(a.left_out)}" if a.left_out else ""
     return facts(
         ("Pictures of C1", ", ".join(counts[:first])),
@@ -205,7 +205,7 @@ def _facts(a: Adjustment) -> DefinitionList:
             f"Distance of the centres at {np.degrees(record.reading_rad):.1f}°",
             f"{plus_minus(distance, u)} mm",
         ),
-        ("Deformation of the board", f"{bow} mm"),
+        ("Deformation of the board", f"{warp} mm"),
         (
             "Views contradict each other",
             f"by {np.sqrt(record.factors[2]):.2f} times what corner noise explains, in the rig",

@@ -8,7 +8,7 @@ from markupsafe import Markup
 
 from calib.fit.compare import CLEARLY, NOTICEABLY, ModelScore
 from calib.fit.importance import K_HAT_LIMIT
-from calib.report.blocks import EMPTY, Block, Cell, Items, Paragraph, Section, number, table, words
+from calib.report.blocks import EMPTY, Block, Cell, Chapter, Items, Paragraph, number, table, words
 from calib.report.context import ReportContext
 from calib.report.numbers import decimals, percent, signed
 from calib.results.calibration import Calibration
@@ -29,7 +29,7 @@ HEADS = (
 )
 
 
-def comparison(c: Calibration, _: ReportContext) -> Section | None:
+def comparison(c: Calibration, _: ReportContext) -> Chapter | None:
     """Write the comparison of models."""
     if c.gaze is None or c.gaze.comparison is None:
         return None
@@ -69,7 +69,7 @@ def comparison(c: Calibration, _: ReportContext) -> Section | None:
             Paragraph(Markup("<strong>Not fitted</strong>")),
             Items(tuple(f"{name}: {reason}" for name, reason in c.gaze.refused.items())),
         ]
-    return Section("comparison", "Comparison of the models", tuple(blocks))
+    return Chapter("comparison", "Comparison of the models", tuple(blocks))
 
 
 def _refitted(scores: Sequence[ModelScore]) -> str:

@@ -14,10 +14,10 @@ from calib.report.blocks import (
     EMPTY,
     Block,
     Cell,
+    Chapter,
     DefinitionList,
     Paragraph,
     Scene,
-    Section,
     Table,
     Text,
     table,
@@ -43,7 +43,7 @@ from calib.results.headline import Headline, headline
 from calib.rows.observations import Observations
 
 
-def data(c: Calibration, context: ReportContext) -> Section:
+def data(c: Calibration, context: ReportContext) -> Chapter:
     """Write what was calibrated and with what data."""
     facts: list[tuple[Text, Text]] = [("Dataset", c.title or c.name), ("Name", c.name)]
     facts += context.source
@@ -66,7 +66,7 @@ def data(c: Calibration, context: ReportContext) -> Section:
         blocks.append(_rows(c.gaze))
     if c.cameras:
         blocks.append(_cameras(c))
-    return Section("data", "What was calibrated, and with what", tuple(blocks))
+    return Chapter("data", "What was calibrated, and with what", tuple(blocks))
 
 
 def _gaze_facts(gaze: GazeResult, context: ReportContext) -> list[tuple[Text, Text]]:

@@ -7,7 +7,7 @@ from markupsafe import Markup
 
 from calib.instrument.adjusted import ADJUSTMENT
 from calib.instrument.calibrated import CalibratedInstrument, DepthTable
-from calib.report.blocks import Block, Cell, Paragraph, Section, Table, table, words
+from calib.report.blocks import Block, Cell, Chapter, Paragraph, Table, table, words
 from calib.report.context import ReportContext
 from calib.report.figures.depth import draw_depth_uncertainty
 from calib.report.numbers import bounds, decimals, digits, percent, places
@@ -21,7 +21,7 @@ SHOWN_DEPTHS = 5
 """Depths of the table of sources."""
 
 
-def depth(c: Calibration, _: ReportContext) -> Section | None:
+def depth(c: Calibration, _: ReportContext) -> Chapter | None:
     """Write the depth uncertainty."""
     if c.gaze is None or c.gaze.depths is None or c.gaze.calibrated is None:
         return None
@@ -39,7 +39,7 @@ def depth(c: Calibration, _: ReportContext) -> Section | None:
         _table(depths),
         _sources(depths),
     ]
-    return Section("depth", "Depth uncertainty", tuple(blocks))
+    return Chapter("depth", "Depth uncertainty", tuple(blocks))
 
 
 def _method(calibrated: CalibratedInstrument, gaze: GazeResult) -> Markup:

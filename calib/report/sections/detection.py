@@ -9,8 +9,8 @@ from calib.images.detection.grid import seen
 from calib.report.blocks import (
     Block,
     Cell,
+    Chapter,
     Paragraph,
-    Section,
     number,
     table,
     words,
@@ -20,7 +20,7 @@ from calib.report.sections.board_pictures import NOT_FOUND, picture_sheets
 from calib.results.calibration import Calibration
 
 
-def detection(c: Calibration, _: ReportContext) -> Section | None:
+def detection(c: Calibration, _: ReportContext) -> Chapter | None:
     """Write the detection of boards."""
     if not c.images.corners:
         return None
@@ -38,7 +38,7 @@ def detection(c: Calibration, _: ReportContext) -> Section | None:
         ),
     ]
     blocks += picture_sheets(c.images)
-    return Section("detection", "Boards in the pictures", tuple(blocks))
+    return Chapter("detection", "Boards in the pictures", tuple(blocks))
 
 
 def _row(camera: str, corners: Corners) -> tuple[Cell, ...]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from calib.diagnosis.engine import DECISIVE
 from calib.diagnosis.findings import Attempt, Cause, Diagnosis, scatter_words
 from calib.diagnosis.structure import structured
-from calib.report.blocks import Block, Items, Notice, Paragraph, Section, number, table, words
+from calib.report.blocks import Block, Chapter, Items, Notice, Paragraph, number, table, words
 from calib.report.context import ReportContext
 from calib.report.figures.diagnosis import draw_cause
 from calib.report.numbers import signed
@@ -15,7 +15,7 @@ from calib.results.calibration import Calibration
 from calib.uncertainty.format import significant, with_uncertainty
 
 
-def diagnosis(c: Calibration, _: ReportContext) -> Section | None:
+def diagnosis(c: Calibration, _: ReportContext) -> Chapter | None:
     """Write the diagnosis."""
     if c.gaze is None or c.gaze.diagnosis is None:
         return None
@@ -29,7 +29,7 @@ def diagnosis(c: Calibration, _: ReportContext) -> Section | None:
         blocks.append(_table(found))
     if found.structure:
         blocks.append(_structure(found))
-    return Section("diagnosis", "What may have been done wrong", tuple(blocks))
+    return Chapter("diagnosis", "What may have been done wrong", tuple(blocks))
 
 
 def _picture(found: Diagnosis) -> Block:

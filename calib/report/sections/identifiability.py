@@ -10,9 +10,9 @@ from calib.fit.information import RULER
 from calib.report.blocks import (
     Block,
     Cell,
+    Chapter,
     Notice,
     Paragraph,
-    Section,
     Table,
     Text,
     number,
@@ -31,7 +31,7 @@ IDENTIFIED_BY = {"rows": "the rows", "sweep": "the sweep", "prior": "the prior"}
 """What identifies a parameter, in the words of the report; several stand as they are."""
 
 
-def identifiability(c: Calibration, _: ReportContext) -> Section | None:
+def identifiability(c: Calibration, _: ReportContext) -> Chapter | None:
     """Write which parameters the rows identify."""
     if c.gaze is None or not c.gaze.identifiability:
         return None
@@ -56,7 +56,7 @@ def identifiability(c: Calibration, _: ReportContext) -> Section | None:
         _combinations(first),
         picture("combinations", draw_identifiability(told), _caption(first)),
     ]
-    return Section("identifiability", "Identifiability", tuple(blocks))
+    return Chapter("identifiability", "Identifiability", tuple(blocks))
 
 
 def _verdict(found: Identifiability) -> list[Block]:

@@ -14,10 +14,10 @@ from calib.report.blocks import (
     EMPTY,
     Block,
     Cell,
+    Chapter,
     DefinitionList,
     Fold,
     Paragraph,
-    Section,
     Table,
     facts,
     number,
@@ -44,7 +44,7 @@ DIFFERENCES_DRAWN = 2
 """The first ones: the other backend, and the splined lens model."""
 
 
-def intrinsics(c: Calibration, _: ReportContext) -> Section | None:
+def intrinsics(c: Calibration, _: ReportContext) -> Chapter | None:
     """Write the intrinsics."""
     if not c.images.intrinsics:
         return None
@@ -61,7 +61,7 @@ def intrinsics(c: Calibration, _: ReportContext) -> Section | None:
     ]
     for name, found in sorted(c.images.intrinsics.items()):
         blocks += _camera(found, c.images.corners[name].select(found.images).pixels)
-    return Section("intrinsics", "Intrinsics", tuple(blocks))
+    return Chapter("intrinsics", "Intrinsics", tuple(blocks))
 
 
 def _camera(i: Intrinsics, corners: FloatArray) -> list[Block]:
@@ -180,7 +180,7 @@ def _fits(i: Intrinsics) -> Table:
     rows += [
         [words("rms / px"), *(decimals(fit.rms_px, 3) for fit, _ in fits)],
         [words("Corners rejected"), *(number(str(f.rejected), f.rejected) for f, _ in fits)],
-        [words("Deformation of the board / mm"), *(_bow(fit) for fit, _ in fits)],
+        [words("Deformation of the board / mm"), *(_warp(fit) for fit, _ in fits)],
     ]
     heads = ["", f"{_short(fit_name(i.selected))} (selected)"]
     heads += [_short(fit_name(fit)) for fit in i.alternatives]
@@ -211,7 +211,7 @@ def _mrcal(version: str | None) -> str:
     return "of unknown version" if version == "unknown" else f"version {version}"
 
 
-def _bow(fit: LensFit) -> Cell:
+def _warp(fit: LensFit) -> Cell:
     if fit.board_warp_mm is None:
         return EMPTY
     x, y = (signed(fixed(v, 2)) for v in fit.board_warp_mm)

@@ -7,7 +7,7 @@ from markupsafe import Markup
 
 from calib.fit.convex import ConvexFit
 from calib.fit.linear import LinearFit
-from calib.report.blocks import EMPTY, Block, Cell, Paragraph, Section, Table, Text, table, words
+from calib.report.blocks import EMPTY, Block, Cell, Chapter, Paragraph, Table, Text, table, words
 from calib.report.context import ReportContext
 from calib.report.numbers import (
     decimals,
@@ -24,7 +24,7 @@ from calib.results.calibration import Calibration, GazeResult
 from calib.uncertainty.format import fixed, significant
 
 
-def linear(c: Calibration, _: ReportContext) -> Section | None:
+def linear(c: Calibration, _: ReportContext) -> Chapter | None:
     """Write the linear and the convex calibration."""
     if c.gaze is None or (c.gaze.linear is None and c.gaze.convex is None):
         return None
@@ -42,7 +42,7 @@ def linear(c: Calibration, _: ReportContext) -> Section | None:
     ]
     if gaze.linear is not None:
         blocks.append(Paragraph(_third_unknown(gaze, gaze.linear)))
-    return Section("linear", "Linear and convex calibration", tuple(blocks))
+    return Chapter("linear", "Linear and convex calibration", tuple(blocks))
 
 
 def _table(gaze: GazeResult) -> Table:

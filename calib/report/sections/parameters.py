@@ -17,15 +17,15 @@ from calib.report.blocks import (
     NOTHING,
     Block,
     Cell,
+    Chapter,
     Paragraph,
-    Section,
     Table,
     Text,
     table,
     words,
 )
 from calib.report.context import ReportContext
-from calib.report.figures.parameters import Estimate, draw_estimates
+from calib.report.figures.parameters import FitEstimate, draw_estimates
 from calib.report.numbers import (
     EFFECTIVE,
     bounds,
@@ -44,7 +44,7 @@ from calib.results.effective_baseline import effective_baseline, effective_inter
 from calib.results.wording import MODELS
 
 
-def parameters(c: Calibration, context: ReportContext) -> Section | None:
+def parameters(c: Calibration, context: ReportContext) -> Chapter | None:
     """Write the parameters of each model."""
     if c.gaze is None or not c.gaze.posterior:
         return None
@@ -86,7 +86,7 @@ def parameters(c: Calibration, context: ReportContext) -> Section | None:
             "call its misfit noise.",
         ),
     ]
-    return Section("parameters", "Parameters", tuple(blocks))
+    return Chapter("parameters", "Parameters", tuple(blocks))
 
 
 def _model(
@@ -202,7 +202,7 @@ def _origin(name: str, context: ReportContext) -> str:
     return " (dataset.toml)" if name in context.priors else " (default)"
 
 
-def estimates(gaze: GazeResult) -> list[Estimate]:
+def estimates(gaze: GazeResult) -> list[FitEstimate]:
     """Return baseline and encoder zero of every fit."""
     found = []
     if gaze.linear is not None:
@@ -222,8 +222,8 @@ def _estimate(
     values: np.ndarray,
     covariance: np.ndarray,
     names: tuple[str, ...] = ("baseline_mm", "delta2_rad"),
-) -> Estimate:
+) -> FitEstimate:
     effective = effective_baseline(names, values, covariance)
     std = 1e3 * float(np.sqrt(covariance[1, 1]))
     baseline = effective or (float(values[0]), float(np.sqrt(covariance[0, 0])))
-    return Estimate(fit, baseline, (1e3 * float(values[1]), std))
+    return FitEstimate(fit, baseline, (1e3 * float(values[1]), std))

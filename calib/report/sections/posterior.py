@@ -8,7 +8,7 @@ from markupsafe import Markup
 from calib.fit.chains import ESS_GOAL, R_HAT_LIMIT
 from calib.fit.importance import K_HAT_LIMIT
 from calib.fit.posterior import Posterior
-from calib.report.blocks import Block, Cell, DefinitionList, Paragraph, Section, Table, table, words
+from calib.report.blocks import Block, Cell, Chapter, DefinitionList, Paragraph, Table, table, words
 from calib.report.context import ReportContext
 from calib.report.figures.posterior import draw_corner
 from calib.report.numbers import bounds, decimals, estimate, factor, signed, symbol, unit
@@ -18,7 +18,7 @@ from calib.results.calibration import Calibration
 from calib.uncertainty.format import fixed
 
 
-def posterior(c: Calibration, _: ReportContext) -> Section | None:
+def posterior(c: Calibration, _: ReportContext) -> Chapter | None:
     """Write the posterior of each model."""
     if c.gaze is None or not c.gaze.posterior:
         return None
@@ -46,7 +46,7 @@ def posterior(c: Calibration, _: ReportContext) -> Section | None:
                 )
             )
         blocks += [_table(p), DefinitionList(_facts(p))]
-    return Section("posterior", "Posterior and convergence", tuple(blocks))
+    return Chapter("posterior", "Posterior and convergence", tuple(blocks))
 
 
 def _table(p: Posterior) -> Table:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from calib.report.blocks import (
     Block,
-    Command,
+    Chapter,
+    CommandLine,
     DefinitionList,
     Paragraph,
-    Section,
     Text,
     table,
     words,
@@ -17,7 +17,7 @@ from calib.report.numbers import decimals
 from calib.results.calibration import Calibration
 
 
-def provenance(c: Calibration, context: ReportContext) -> Section:
+def provenance(c: Calibration, context: ReportContext) -> Chapter:
     """Write the provenance."""
     made = context.made
     facts: tuple[tuple[Text, Text], ...] = (
@@ -36,7 +36,7 @@ def provenance(c: Calibration, context: ReportContext) -> Section:
         ),
         DefinitionList(facts),
         Paragraph("To make it again:"),
-        Command(made.command),
+        CommandLine(made.command),
     ]
     if made.durations_s:
         durations = [(words(name), decimals(t, 2)) for name, t in made.durations_s.items()]
@@ -49,4 +49,4 @@ def provenance(c: Calibration, context: ReportContext) -> Section:
             )
         )
     blocks.append(table("Packages", ("Package", "Version"), packages))
-    return Section("provenance", "Provenance", tuple(blocks))
+    return Chapter("provenance", "Provenance", tuple(blocks))

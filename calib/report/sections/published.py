@@ -4,20 +4,20 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.report.blocks import EMPTY, Cell, Paragraph, Section, number, table, words
+from calib.report.blocks import EMPTY, Cell, Chapter, Paragraph, number, table, words
 from calib.report.context import ReportContext
 from calib.report.numbers import estimate
 from calib.results.calibration import Calibration
 from calib.results.published import image_estimates
 
 
-def published(c: Calibration, context: ReportContext) -> Section | None:
+def published(c: Calibration, context: ReportContext) -> Chapter | None:
     """Write the comparison with published values."""
     if not context.published:
         return None
     found = image_estimates(c.images)
     rows = [_row(name, known, found.get(name)) for name, known in context.published.items()]
-    return Section(
+    return Chapter(
         "published",
         "Against published values",
         (

@@ -6,7 +6,7 @@ import numpy as np
 from markupsafe import Markup
 
 from calib.geometry.plane import OBSERVABLE
-from calib.report.blocks import EMPTY, Block, Cell, Paragraph, Section, Table, Text, table, words
+from calib.report.blocks import EMPTY, Block, Cell, Chapter, Paragraph, Table, Text, table, words
 from calib.report.context import ReportContext
 from calib.report.figures.residuals import (
     draw_residuals_against,
@@ -27,7 +27,7 @@ from calib.results.calibration import Calibration, GazeResult
 from calib.uncertainty.format import significant
 
 
-def residuals(c: Calibration, context: ReportContext) -> Section | None:
+def residuals(c: Calibration, context: ReportContext) -> Chapter | None:
     """Write the residuals before and after."""
     if c.gaze is None or not c.gaze.robust:
         return None
@@ -63,7 +63,7 @@ def residuals(c: Calibration, context: ReportContext) -> Section | None:
             "trend with x1c is an offset yaw axis, an encoder scale or a lens error.",
         ),
     ]
-    return Section("residuals", "Residuals before and after", tuple(blocks))
+    return Chapter("residuals", "Residuals before and after", tuple(blocks))
 
 
 def _finding(gaze: GazeResult, step: float | None, reading: float) -> Text:

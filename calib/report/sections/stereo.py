@@ -15,10 +15,10 @@ from calib.report.blocks import (
     EMPTY,
     Block,
     Cell,
+    Chapter,
     DefinitionList,
     Fold,
     Paragraph,
-    Section,
     Table,
     facts,
     number,
@@ -34,7 +34,7 @@ from calib.report.sections.pick import shown_rows
 from calib.results.calibration import Calibration
 
 
-def stereo(c: Calibration, _: ReportContext) -> Section | None:
+def stereo(c: Calibration, _: ReportContext) -> Chapter | None:
     """Write the stereo reference."""
     reference = c.images.stereo
     if reference is None:
@@ -74,7 +74,7 @@ def stereo(c: Calibration, _: ReportContext) -> Section | None:
             ),
             _targets(reference),
         ]
-    return Section("stereo", "Stereo reference", tuple(blocks))
+    return Chapter("stereo", "Stereo reference", tuple(blocks))
 
 
 _JOINT = "a joint solve with the lenses, from all pictures of the board (validation left out)"

@@ -8,10 +8,10 @@ from markupsafe import Markup
 from calib.images.sweep.yaw_axis import SweepResult
 from calib.report.blocks import (
     Block,
+    Chapter,
     DefinitionList,
     Fold,
     Paragraph,
-    Section,
     Table,
     facts,
     table,
@@ -35,7 +35,7 @@ from calib.results.calibration import Calibration
 from calib.uncertainty.format import fixed
 
 
-def sweep(c: Calibration, _: ReportContext) -> Section | None:
+def sweep(c: Calibration, _: ReportContext) -> Chapter | None:
     """Write the yaw sweep."""
     found = c.images.sweep
     if found is None:
@@ -66,7 +66,7 @@ def sweep(c: Calibration, _: ReportContext) -> Section | None:
         ),
         Fold(f"All {len(found.images)} pictures of the sweep by name", (_pictures(found),)),
     ]
-    return Section("sweep", "Yaw sweep", tuple(blocks))
+    return Chapter("sweep", "Yaw sweep", tuple(blocks))
 
 
 def _measured(s: SweepResult) -> Table:

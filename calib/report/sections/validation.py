@@ -9,7 +9,7 @@ from markupsafe import Markup
 
 from calib.core.arrays import FloatArray
 from calib.instrument.validation import ValidationResult, normalised_error, spread_by_group
-from calib.report.blocks import Block, Cell, Paragraph, Section, Table, Text, number, table, words
+from calib.report.blocks import Block, Cell, Chapter, Paragraph, Table, Text, number, table, words
 from calib.report.context import ReportContext
 from calib.report.figures.validation import draw_agreement, draw_consistency
 from calib.report.numbers import (
@@ -32,7 +32,7 @@ from calib.uncertainty.format import significant
 from calib.uncertainty.lengths import LengthError
 
 
-def validation(c: Calibration, context: ReportContext) -> Section | None:
+def validation(c: Calibration, context: ReportContext) -> Chapter | None:
     """Write the validation."""
     if c.gaze is None or c.gaze.validation is None or c.gaze.comparison is None:
         return None
@@ -53,7 +53,7 @@ def validation(c: Calibration, context: ReportContext) -> Section | None:
         _rows(v, names),
         *_lengths(c.gaze.evidence),
     ]
-    return Section("validation", "Validation", tuple(blocks))
+    return Chapter("validation", "Validation", tuple(blocks))
 
 
 def _summary(v: ValidationResult, names: Mapping[str, str], by: Markup) -> Text:

@@ -13,13 +13,13 @@ from calib.instrument.adjusted import ADJUSTMENT, ROWS
 from calib.instrument.calibrated import CalibratedInstrument
 from calib.report.blocks import (
     Block,
-    Command,
+    Chapter,
+    CommandLine,
     Fold,
     Items,
     KeyFigures,
     Notice,
     Paragraph,
-    Section,
     Text,
     table,
     words,
@@ -44,7 +44,7 @@ from calib.uncertainty.format import significant
 _BACKENDS = {"joint": "the joint solve of lenses and pairs"}
 
 
-def verdict(c: Calibration, context: ReportContext) -> Section:
+def verdict(c: Calibration, context: ReportContext) -> Chapter:
     """Write the verdict."""
     blocks: list[Block] = [_banner(c, context), *_failures(c)]
     if c.gaze is not None:
@@ -59,7 +59,7 @@ def verdict(c: Calibration, context: ReportContext) -> Section:
     if c.gaze is not None and c.gaze.calibrated is not None:
         blocks += _use(c.gaze.calibrated, failed=sum(not gate.passed for gate in c.gates))
     blocks += _gates(c)
-    return Section("verdict", "Verdict", tuple(blocks))
+    return Chapter("verdict", "Verdict", tuple(blocks))
 
 
 def _banner(c: Calibration, context: ReportContext) -> Notice:
@@ -232,7 +232,7 @@ def _use(calibrated: CalibratedInstrument, *, failed: int) -> list[Block]:
                 "extrapolated."
             ).format(f"{low:.0f}", f"{high:.0f}")
         ),
-        Command("calib measure calibration.json readings.csv"),
+        CommandLine("calib measure calibration.json readings.csv"),
     ]
 
 

@@ -11,7 +11,7 @@ from calib.core.arrays import FloatArray
 from calib.document import cameras as document
 from calib.document.fits import Estimate
 from calib.document.part import matrix, vector
-from calib.document.stereo import Measured, PairTarget, StereoPart, StereoSolve, SweepPart
+from calib.document.stereo import MeasuredParameters, PairTarget, StereoPart, StereoSolve, SweepPart
 from calib.geometry.board import LensFit
 from calib.geometry.camera import Camera
 from calib.images.intrinsics.calibrate import Intrinsics
@@ -138,7 +138,7 @@ def sweep(found: SweepResult) -> SweepPart:
         eccentricity_mm=Estimate(value=found.eccentricity_mm, std=found.eccentricity_std_mm),
         gaze_roll_rad=Estimate(value=found.gaze_roll_rad, std=found.gaze_roll_std_rad),
         encoder_scale=Estimate(value=found.encoder_scale, std=found.encoder_scale_std),
-        measured=Measured(
+        measured=MeasuredParameters(
             names=tuple(found.names), mean=vector(found.mean), covariance=matrix(found.covariance)
         ),
         rms_px=found.rms_px,

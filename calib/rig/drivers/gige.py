@@ -32,7 +32,7 @@ from calib.rig.drivers.gige_features import (
     made_triggered,
     pixels_of,
 )
-from calib.rig.options import Options, options
+from calib.rig.options import DriverOptions, options
 from calib.rig.protocols import Camera, Frame, Lost, Nanoseconds
 
 DRIFT_BOUND: Final = 3e-4
@@ -50,7 +50,7 @@ QUIET_S: Final = 0.2
 _DISPLAYED_S: Final = 0.5
 
 
-class GigeOptions(Options):
+class GigeOptions(DriverOptions):
     """Keys of the driver.
 
     Parameters
@@ -83,7 +83,7 @@ class _Taken:
     arrived_ns: Nanoseconds
 
 
-class Source(Protocol):
+class TriggerSource(Protocol):
     """A way to have a camera expose one frame."""
 
     def shoot(self, timeout_s: float) -> telegenic.Frame | None:
@@ -200,9 +200,9 @@ class GigeCamera:
             self._source.close()
             self._camera.disconnect()
 
-    def _open_source(self) -> Source:
+    def _open_source(self) -> TriggerSource:
         kind = TriggeredSource if self._is_triggered else SnapshotSource
-        source: Source = kind(self._camera, self._own.packet_size)
+        source: TriggerSource = kind(self._camera, self._own.packet_size)
         source.quiet()
         return source
 

@@ -31,7 +31,7 @@ from calib.rig.protocols import Nanoseconds
 from calib.rig.settings import CameraSection, RigSettings
 from calib.rig.virtual.targets import sheet
 from calib.simulate.render import Image, Imager, Optics, expose, prepare
-from calib.simulate.rig import Noise, Rig, c2_pose, draw_camera, draw_rig, mirror_rig
+from calib.simulate.rig import Noise, TrueRig, c2_pose, draw_camera, draw_rig, mirror_rig
 from calib.simulate.scene import fitting_board, invert, target_in_c1
 
 CameraName = Literal["c1", "c2"]
@@ -241,7 +241,7 @@ def _out_of_sight() -> FloatArray:
     return pose
 
 
-def true_rig(settings: RigSettings) -> Rig:
+def true_rig(settings: RigSettings) -> TrueRig:
     """Return the rig that the settings simulate.
 
     It is drawn by `calib.simulate.rig.draw_rig` from `settings.virtual.seed`; a negative
@@ -276,7 +276,7 @@ def _given(section: CameraSection, drawn: Camera) -> Camera:
     return stated_camera(section, drawn.image_size) or drawn
 
 
-def _board(settings: RigSettings, rig: Rig) -> Board:
+def _board(settings: RigSettings, rig: TrueRig) -> Board:
     """Return the board of the settings, or a 9 x 7 chessboard that suits the depths."""
     given = settings.board
     if given is None:

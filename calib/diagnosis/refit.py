@@ -1,14 +1,12 @@
 """Refits of the rows with errors of what was observed as further parameters.
 
-A hypothesis says that observations are off by ``loadings @ c``, with c to be estimated together
-with the model's parameters. The misclosure is taken at the corrected observations, so that large
-errors are as good as small ones. Errors that rows share as stated, and those of a group's reference
-depth, are such parameters as well, with their stated standard deviations: what they explain is no
-evidence for a hypothesis.
+A hypothesis says that observations are off by ``loadings @ c``, with c to be estimated with the
+model's parameters. The misclosure is taken at the corrected observations, so that large errors are
+as good as small ones. Errors that rows share as stated, and those of a group's reference depth, are
+such parameters, too, with their stated standard deviations: they are no evidence for a hypothesis.
 
-Evidence is the logarithm of the marginal likelihood by Laplace's method: the parameters, those of
-the hypothesis too, are integrated out over their priors (Kass and Raftery 1995, doi
-10.1080/01621459.1995.10476572). Tails are the robust ones.
+Evidence is the logarithm of the marginal likelihood by Laplace's method, over all parameters and
+their priors (Kass and Raftery 1995, doi 10.1080/01621459.1995.10476572). Tails are the robust ones.
 """
 
 from __future__ import annotations

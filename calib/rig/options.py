@@ -16,13 +16,13 @@ HANDED: Final = ("role", "serial", "clock", "world")
 """What `calib.rig.devices.open_rig` adds to a section for the driver."""
 
 
-class DriverOptions(BaseModel):
+class Options(BaseModel):
     """Keys of a driver's own: frozen, and without room for unknown ones."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
 
-O = TypeVar("O", bound=DriverOptions)  # noqa: E741 - the type of options
+O = TypeVar("O", bound=Options)  # noqa: E741 - the type of options
 
 
 def options(model: type[O], settings: Mapping[str, Any]) -> O:

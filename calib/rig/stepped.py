@@ -39,7 +39,7 @@ CORRECTIONS: Final = 3
 
 
 @dataclass(frozen=True)
-class ControllerState:
+class State:
     """What a controller tells about itself at one moment.
 
     Parameters
@@ -63,7 +63,7 @@ class Controller(Protocol):
     def start(self, steps: float) -> None:
         """Begin to move to a position; return at once."""
 
-    def state(self) -> ControllerState:
+    def state(self) -> State:
         """Ask for the position.
 
         Raises
@@ -121,7 +121,7 @@ class AxisScale:
 
 @dataclass(frozen=True)
 class _Rest:
-    state: ControllerState
+    state: State
     counts: int
     reading_rad: float
     since_ns: Nanoseconds
@@ -291,12 +291,12 @@ class SteppedAxis:
             "program that drives it, vibration, or noise of the encoder"
         )
 
-    def _agree(self, first: ControllerState, second: ControllerState) -> bool:
+    def _agree(self, first: State, second: State) -> bool:
         if first.counts is None or second.counts is None:
             return first.steps == second.steps
         return first.steps == second.steps and abs(first.counts - second.counts) <= 1
 
-    def _counts(self, state: ControllerState) -> int:
+    def _counts(self, state: State) -> int:
         if state.counts is None:
             return round(state.steps * self._scale.counts_per_step)
         return state.counts

@@ -149,7 +149,7 @@ def test_a_capture_goes_on_where_it_ended_and_counts_what_is_there(lab, call):
     for count in (1, 2):
         done = call("capture", "gaze", "mine", "--rig", "rig.toml", "--count", count)
         assert done.status == 0, done.err
-        assert f"mine: {count} rows in gaze.csv" in done.out
+        assert f"mine: {count} row" in done.out
     table = rows((lab / "mine" / "gaze.csv").read_text())
     assert [row["id"] for row in table] == ["g01", "g02"]
     assert table[0]["z_mm"] != table[1]["z_mm"]

@@ -109,8 +109,7 @@ def test_one_gross_row_of_six_does_not_lead_astray() -> None:
 @pytest.mark.parametrize(
     ("model", "rigs"),
     [
-        ("base", 80),
-        pytest.param("base", 400, marks=pytest.mark.slow),
+        pytest.param("base", 300, marks=pytest.mark.slow),
         pytest.param("axis-offset", 150, marks=pytest.mark.slow),
     ],
 )

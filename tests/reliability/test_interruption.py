@@ -175,11 +175,8 @@ def test_second_run_on_the_same_out_is_refused(
         assert (tmp_path / name).read_bytes() == (undisturbed.out / name).read_bytes()
 
 
-@pytest.mark.parametrize(
-    "how",
-    [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)],
-    ids=lambda s: s.name,
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM], ids=lambda s: s.name)
 def test_interrupted_with_chains_side_by_side(how: signal.Signals, tmp_path: Path) -> None:
     """As a terminal does and as a system does: the first tells workers too, the second does not."""
     data, out = tmp_path / "data", tmp_path / "out"

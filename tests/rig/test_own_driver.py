@@ -15,7 +15,7 @@ import pytest
 
 from calib.rig import registry
 from calib.rig.devices import open_rig
-from calib.rig.options import DriverOptions, options
+from calib.rig.options import Options, options
 from calib.rig.protocols import Camera, Lost, YawAxis
 from calib.rig.settings import parse_settings
 
@@ -192,7 +192,7 @@ def test_devices_are_closed_and_the_motor_stopped_whatever_fails(monkeypatch):
 
 
 def test_options_are_checked_key_by_key():
-    class Own(DriverOptions):
+    class Own(Options):
         address: str
 
     from calib.core.errors import InputError

@@ -143,6 +143,7 @@ def test_processes_give_what_one_process_gives(tmp_path: Path) -> None:
     assert list(shared) == alone
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
 @pytest.mark.filterwarnings("ignore::ResourceWarning")
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")

@@ -32,7 +32,7 @@ from calib.rig.drivers.gige_features import (
     made_triggered,
     pixels_of,
 )
-from calib.rig.options import DriverOptions, options
+from calib.rig.options import Options, options
 from calib.rig.protocols import Camera, Frame, Lost, Nanoseconds
 
 DRIFT_BOUND: Final = 3e-4
@@ -50,7 +50,7 @@ QUIET_S: Final = 0.2
 _DISPLAYED_S: Final = 0.5
 
 
-class GigeOptions(DriverOptions):
+class GigeOptions(Options):
     """Keys of the driver.
 
     Parameters

@@ -24,7 +24,7 @@ from pydantic import Field
 from calib.core.errors import InputError
 from calib.dataset.fields import Line, NotNegative, Positive
 from calib.rig.clock import NS_PER_S
-from calib.rig.options import DriverOptions, options
+from calib.rig.options import Options, options
 from calib.rig.protocols import Camera, Frame, Lost, Nanoseconds, Refused
 
 LATENCY_MS: Final = 500.0
@@ -51,7 +51,7 @@ UNCOMPRESSED: Final = ("YUY2", "YUYV", "UYVY", "GREY", "Y800", "Y8  ", "NV12", "
 """Codes of pixel formats that lose nothing, as far as grey values go."""
 
 
-class VideoOptions(DriverOptions):
+class VideoOptions(Options):
     """Keys of the driver.
 
     Parameters

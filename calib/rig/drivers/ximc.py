@@ -17,10 +17,10 @@ import libximc.highlevel as ximc
 from calib.core.errors import InputError
 from calib.dataset.fields import Line, Number, Positive
 from calib.rig.clock import Clock, HostClock, wait
-from calib.rig.options import DriverOptions, options
+from calib.rig.options import Options, options
 from calib.rig.protocols import Interrupted, Lost, YawAxis
 from calib.rig.settings import AxisSection
-from calib.rig.stepped import AxisScale, ControllerState, SteppedAxis
+from calib.rig.stepped import AxisScale, State, SteppedAxis
 
 HOME_TIMEOUT_S: Final = 120.0
 POLL_S: Final = 0.01
@@ -29,7 +29,7 @@ HOME_WORD: Final = 6
 """Word of the controller's user memory that keeps the time of the last reference run, s."""
 
 
-class XimcOptions(DriverOptions):
+class XimcOptions(Options):
     """Keys of the driver.
 
     Parameters
@@ -78,14 +78,14 @@ class XimcController:
         whole = int(math.copysign(abs(micro) // self.divisions, micro))
         self._ask("command_move", whole, micro - whole * self.divisions)
 
-    def state(self) -> ControllerState:
+    def state(self) -> State:
         """Ask for the position."""
         status = self._ask("get_status")
         if status.Flags & ximc.StateFlags.STATE_ALARM:
             raise Lost(f"the controller is in alarm ({_names(status.Flags)}); see its own program")
         running = bool(status.MvCmdSts & ximc.MvcmdStatus.MVCMD_RUNNING)
         full = status.CurPosition + status.uCurPosition / self.divisions
-        return ControllerState(
+        return State(
             steps=full * self._steps_per_full,
             counts=status.EncPosition if self._has_encoder else None,
             moving=running or bool(status.MoveSts & ximc.MoveState.MOVE_STATE_MOVING),

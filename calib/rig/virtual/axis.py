@@ -14,10 +14,10 @@ import numpy as np
 
 from calib.dataset.fields import Positive
 from calib.rig.clock import NS_PER_S, Clock, wait
-from calib.rig.options import DriverOptions, options
+from calib.rig.options import Options, options
 from calib.rig.protocols import Nanoseconds, YawAxis
 from calib.rig.settings import AxisSection
-from calib.rig.stepped import OVERSHOOT_STEPS, AxisScale, ControllerState, SteppedAxis
+from calib.rig.stepped import OVERSHOOT_STEPS, AxisScale, State, SteppedAxis
 from calib.rig.virtual.mechanics import Drive, Mechanics
 from calib.rig.virtual.settings import VirtualSettings
 from calib.rig.virtual.world import World
@@ -84,13 +84,13 @@ class VirtualController:
             )
         return round(units) * self._mechanics.grid
 
-    def state(self) -> ControllerState:
+    def state(self) -> State:
         """Ask for the position."""
         self._tick()
         now = self._clock.now_ns()
         early = round(self._settings.early_done_ms * 1e6)
         pulses = self._mechanics.pulses(now) - self._pulse_zero
-        return ControllerState(pulses, self._encoder(now), self._mechanics.moving(now + early))
+        return State(pulses, self._encoder(now), self._mechanics.moving(now + early))
 
     def _encoder(self, now: Nanoseconds) -> int | None:
         if self._section.reads == "counts":
@@ -150,7 +150,7 @@ def mechanics(section: AxisSection, settings: VirtualSettings) -> Mechanics:
     return Mechanics(drive, grid=1 / max(1, round(GRID_PER_FULL / per_full)))
 
 
-class AxisOptions(DriverOptions):
+class AxisOptions(Options):
     """Keys of the driver: steps beyond a target from which it is approached."""
 
     overshoot_steps: Positive = OVERSHOOT_STEPS

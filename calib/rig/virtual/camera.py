@@ -13,7 +13,7 @@ from typing import Any, Final, cast
 import numpy as np
 
 from calib.rig.clock import NS_PER_S, wait
-from calib.rig.options import DriverOptions, options
+from calib.rig.options import Options, options
 from calib.rig.protocols import Camera, Frame, Lost, Nanoseconds
 from calib.rig.virtual.world import CameraName, World
 from calib.simulate.render import Image
@@ -219,7 +219,7 @@ def _frame(packet: Packet, exposed_ns: Nanoseconds) -> Frame:
 
 def open_camera(settings: Mapping[str, Any]) -> Camera:
     """Open a camera of a virtual rig; the driver "virtual"."""
-    options(DriverOptions, settings)
+    options(Options, settings)
     world: World = settings["world"]
     name = cast(CameraName, settings["role"])
     return VirtualCamera(VirtualSensor(world, name), world, name)

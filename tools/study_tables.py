@@ -175,11 +175,11 @@ def mistakes() -> str:
     rows = []
     for count in ROW_COUNTS:
         subject = f"{count} rows"
-        shares = ("named", "wrong_name", "in_evidence", "named_in_evidence")
+        shares = ("named", "wrong_name", "in_evidence", "named_in_evidence", "named_with_depths")
         cells = [study.percent(MISTAKES, subject, "", share, digits=0) for share in shares]
         rows.append([str(count), str(study.rigs(MISTAKES, subject, "", "named")), *cells])
     heads = ("rows", "rigs", "named", "wrong name", "in evidence",
-             "named, of those in evidence")  # fmt: skip
+             "named, of those in evidence", "named with six depths more")  # fmt: skip
     return _table(heads, rows)
 
 

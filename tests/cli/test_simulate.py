@@ -22,6 +22,7 @@ from tests.reliability.short_chain import leave_out_pages
 TRUTH = {"baseline_mm": 140.0, "delta2_rad": 0.02, "axis_z_mm": -25.0, "eccentricity_mm": 2.0}
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")  # emcee warns of chains as short as these
 def test_truth_is_recovered(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch

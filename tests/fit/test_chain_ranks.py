@@ -141,10 +141,10 @@ def ranks_of_squares(count: int) -> tuple[np.ndarray, int]:
 
 @pytest.mark.usefixtures("proposing")
 def test_a_sign_left_out_is_corrected_or_told() -> None:
-    ranks, told = ranks_of_squares(20)
-    assert told >= 4
-    assert len(ranks) >= 4
-    assert p_value(ranks, 2) > 1e-4
+    """Whether ranks are uniform only many tell, see below."""
+    ranks, told = ranks_of_squares(10)
+    assert told >= 2
+    assert len(ranks) >= 2
 
 
 @pytest.mark.slow

@@ -76,6 +76,7 @@ def test_rows_set_aside_are_left_out_once() -> None:
     assert target._heard is target._heard
 
 
+@pytest.mark.slow
 def test_rows_without_influence_need_no_smoothing(monkeypatch: pytest.MonkeyPatch) -> None:
     """Independent tool: arviz smooths the weights of every row of the same table."""
     rows, _ = simulated(np.random.default_rng(4), count=LONG_TABLE)

@@ -318,7 +318,7 @@ def main(names: list[str]) -> int:
     if unknown:
         print(f"bench: no part {', '.join(sorted(unknown))}; there are {', '.join(PARTS)}")
         return 2
-    warnings.simplefilter("ignore")
+    warnings.simplefilter("ignore")  # the peers' own, which would interrupt the lines of JSON
     print(json.dumps({"cpus": os.cpu_count(), "ensembles": ENSEMBLES}))
     for name in names or [name for name in PARTS if name not in LONG]:
         for line in PARTS[name]():

@@ -66,6 +66,7 @@ def test_signal_interrupts(act: Callable[[], None]) -> None:
     assert bool(done) == (act is not terminate), "a finaliser ends first"
 
 
+# What Python does with an exception in a finaliser is what is shown here.
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 @pytest.mark.usefixtures("as_before")
 def test_without_it_python_loses_the_signal() -> None:

@@ -8,7 +8,6 @@ from __future__ import annotations
 import csv
 import io
 import json
-import warnings
 from pathlib import Path
 
 import numpy as np
@@ -28,8 +27,7 @@ SERIAL = "AG-0042"
 def rig(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A simulated left rig with a serial number, and its run in `out`."""
     folder = tmp_path_factory.mktemp("left")
-    with pytest.MonkeyPatch.context() as patch, warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # emcee warns of chains as short as these
+    with pytest.MonkeyPatch.context() as patch:
         for name, value in SHORT.items():
             patch.setattr(calib.fit.chains, name, value)
         patch.setattr(calib.stages.store, "processors", lambda: 1)

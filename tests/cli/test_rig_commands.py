@@ -51,7 +51,6 @@ def true_parameters(lab):
     return json.loads(first)["parameters"]
 
 
-@pytest.mark.filterwarnings("ignore")
 def test_from_capture_to_measured_depths(lab, call):
     (lab / "rig.toml").write_text(RIG + 'truth = "truth.jsonl"\n')
     done = call("capture", "gaze", "mine", "--rig", "rig.toml", "--count", 15)

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 import tomllib
-import warnings
 from pathlib import Path
 from typing import Any
 
@@ -33,8 +32,7 @@ def schema_of(file: str, capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
 @pytest.fixture(scope="module")
 def document(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     top = tmp_path_factory.mktemp("run")
-    with pytest.MonkeyPatch.context() as patch, warnings.catch_warnings():
-        warnings.simplefilter("ignore")
+    with pytest.MonkeyPatch.context() as patch:
         shorten(patch.setattr)
         main(["calibrate", str(dataset(top / "data")), "--out", str(top / "out")])
     found: dict[str, Any] = json.loads((top / "out" / "calibration.json").read_text())

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 import shutil
-import warnings
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -35,8 +34,7 @@ from tests.reliability.short_chain import leave_out_pages, shorten
 def calibrated(
     folder: Path, out: Path, capsys: pytest.CaptureFixture[str], *, pages: bool = False
 ) -> tuple[int, str, dict[str, Any]]:
-    with pytest.MonkeyPatch.context() as patch, warnings.catch_warnings():
-        warnings.simplefilter("ignore")
+    with pytest.MonkeyPatch.context() as patch:
         shorten(patch.setattr)
         if not pages:
             leave_out_pages(patch.setattr)

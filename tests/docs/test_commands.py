@@ -24,12 +24,11 @@ LINK = re.compile(r"\]\((?!https?://|#)([^)#]+)\)")
 WITH_COMMANDS = [d for d in DOCUMENTS if BLOCK.search(d.read_text())]
 
 PROGRAM = """\
-import sys, warnings
+import sys
 if {short}:
     sys.path.insert(0, {folder!r})
     import short_chain
     short_chain.shorten(setattr)
-    warnings.simplefilter("ignore")
 from calib.cli.main import main
 sys.exit(main())
 """
@@ -101,6 +100,14 @@ def test_there_are_commands_to_run() -> None:
 def test_links_lead_somewhere(document: Path) -> None:
     for link in LINK.findall(document.read_text()):
         assert (document.parent / link).exists(), link
+
+
+PUBLISHED = sorted(p for p in (PROJECT / "docs").rglob("*") if p.suffix in (".md", ".json", ".csv"))
+
+
+@pytest.mark.parametrize("document", PUBLISHED, ids=lambda d: str(d.relative_to(PROJECT)))
+def test_no_folder_of_one_machine_is_named(document: Path) -> None:
+    assert not re.search(r"(?<![\w./])/(tmp|home|root|work|Users)/", document.read_text())
 
 
 PARAMETER = re.compile(r"^  (\w+) +(-?[\d.e+-]+) \+- ([\d.e+-]+)", re.MULTILINE)

@@ -8,7 +8,6 @@ from __future__ import annotations
 import re
 import shutil
 import sys
-import warnings
 from pathlib import Path
 
 import pytest
@@ -19,11 +18,10 @@ BLOCK = re.compile(r"^```python\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 PYTHON = """\
 #!/bin/sh
 shift 3
-exec '{python}' -c 'import sys, warnings
+exec '{python}' -c 'import sys
 sys.path.insert(0, "{folder}")
 import short_chain
 short_chain.shorten(setattr)
-warnings.simplefilter("ignore")
 from calib.cli.main import main
 sys.exit(main(sys.argv[1:]))' "$@"
 """
@@ -40,11 +38,10 @@ def test_code_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "executable", str(interpreter))
     (making,) = (block for block in blocks if "calib.calibrate" in block)
     names: dict[str, object] = {}
-    with warnings.catch_warnings():
-        exec("import calib\n" + making, names)  # noqa: S102 - our own page
-        for block in blocks:
-            if block is not making:
-                exec(block, names)  # noqa: S102 - our own page
+    exec("import calib\n" + making, names)  # noqa: S102 - our own page
+    for block in blocks:
+        if block is not making:
+            exec(block, names)  # noqa: S102 - our own page
     length, u = names["length"], names["u"]
     assert isinstance(length, float)
     assert isinstance(u, float)

@@ -10,7 +10,6 @@ import json
 import os
 import subprocess
 import sys
-import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -127,8 +126,6 @@ def _serve() -> None:
     from calib.cli.main import main
 
     shorten(setattr)
-    # emcee warns of chains as short as these.
-    warnings.simplefilter("ignore")
     for order in sys.stdin:
         pid = os.fork()
         if pid == 0:

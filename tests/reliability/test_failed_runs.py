@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import csv
 import json
-import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -42,9 +41,8 @@ class Runs:
 
 
 def run(data: Path, out: Path) -> int:
-    with pytest.MonkeyPatch.context() as patch, warnings.catch_warnings():
+    with pytest.MonkeyPatch.context() as patch:
         shorten(patch.setattr)
-        warnings.simplefilter("ignore")  # emcee warns of chains as short as these
         return main(["calibrate", str(data), "--out", str(out), "--quiet"])
 
 

@@ -24,11 +24,10 @@ from calib.stages.owner import OWNER
 from calib.stages.stage_file import is_intact
 
 LIMITED = """\
-import resource, sys, warnings
+import resource, sys
 import short_chain
 from calib.cli.main import main
 short_chain.shorten(setattr)
-warnings.simplefilter("ignore")
 limit = int(sys.argv[1])
 resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
 sys.exit(main(sys.argv[2:]))

@@ -9,7 +9,6 @@ from __future__ import annotations
 import csv
 import io
 import json
-import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -85,8 +84,7 @@ class Done:
 def runs(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Done]]:
     """Runs on the same rows, with the groups' error stated and not."""
     root, found = tmp_path_factory.mktemp("poses"), {}
-    with pytest.MonkeyPatch.context() as patch, warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # emcee warns of chains as short as these
+    with pytest.MonkeyPatch.context() as patch:
         shorten(patch.setattr)
         for name, said in (("silent", ""), ("stated", f"u_z_group_rel = {U_GROUP}")):
             data, out = dataset(root / name, said), root / f"{name} out"

@@ -12,7 +12,6 @@ import os
 import shutil
 import signal
 import sys
-import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from hashlib import sha256
@@ -50,9 +49,8 @@ class TwoRuns:
 def runs(tmp_path_factory: pytest.TempPathFactory) -> TwoRuns:
     top = tmp_path_factory.mktemp("runs")
     data = dataset(top / "data")
-    with pytest.MonkeyPatch.context() as patch, warnings.catch_warnings():
+    with pytest.MonkeyPatch.context() as patch:
         shorten(patch.setattr)
-        warnings.simplefilter("ignore")  # emcee warns of chains as short as these
         for seed, name in ((1, "first"), (2, "second")):
             main(["calibrate", str(data), "--out", str(top / name), "--seed", str(seed)])
     return TwoRuns(data, top / "first", top / "second")

@@ -10,7 +10,6 @@ from __future__ import annotations
 import copy
 import json
 import math
-import warnings
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -45,9 +44,8 @@ OTHERS: dict[str, Any] = {"number": 7.5, "none": None, "truth": False}
 def whole(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     """Return the document of a finished run."""
     top = tmp_path_factory.mktemp("run")
-    with pytest.MonkeyPatch.context() as patch, warnings.catch_warnings():
+    with pytest.MonkeyPatch.context() as patch:
         shorten(patch.setattr)
-        warnings.simplefilter("ignore")  # emcee warns of chains as short as these
         main(["calibrate", str(dataset(top / "data")), "--out", str(top / "run")])
     document: dict[str, Any] = json.loads((top / "run" / "calibration.json").read_text())
     return document

@@ -6,7 +6,6 @@ is put together by hand from small arrays, the maps by the functions that make t
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -63,17 +62,14 @@ def paper() -> tuple[Calibration, ReportContext]:
     with pytest.MonkeyPatch.context() as patch, TemporaryDirectory() as out:
         for name, value in SHORT.items():
             patch.setattr(calib.fit.chains, name, value)
-        with warnings.catch_warnings():
-            # emcee warns of chains as short as these.
-            warnings.simplefilter("ignore")
-            run = calibrate(
-                dataset,
-                Path(out),
-                Options(),
-                announce=lambda _: None,
-                progress=lambda *_: None,
-                command=MADE.command,
-            )
+        run = calibrate(
+            dataset,
+            Path(out),
+            Options(),
+            announce=lambda _: None,
+            progress=lambda *_: None,
+            command=MADE.command,
+        )
     return run.calibration, report_context(dataset, MADE)
 
 

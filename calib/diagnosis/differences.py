@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.core.arrays import FloatArray, IntArray
+from calib.core.unit_diagonal import Spectrum
 from calib.dataset.tables import LengthTable
 from calib.fit.robust import RobustFit
 from calib.geometry.misclosure import depth_jacobian
@@ -201,8 +202,7 @@ def _points(
     place = [fit.names.index(name) for name in names]
     by_shared = fit.by_shared[place]
     own = fit.covariance[np.ix_(place, place)] - by_shared @ by_shared.T
-    values, vectors = np.linalg.eigh(own)
-    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    root = Spectrum.of(own).root()
     by_theta = at.by_theta[:, [INDEX[name] for name in names]]
     # Parameters follow the errors that calibration rows share; later readings have them as well.
     through = by_theta @ by_shared

@@ -195,6 +195,10 @@ def open_axis(driver: AxisDriver, handed: Mapping[str, Any], place: str) -> Fore
 
 
 def _other(where: str, device: object, wanted: str) -> UsageError:
+    """Return the refusal of what a driver opened, which is stopped and closed as far as it can."""
+    for end in ("stop", "close"):
+        with suppress(Exception):
+            getattr(device, end)()
     return UsageError(
         f"{where}: opens a {type(device).__name__}, which is no {wanted}; see docs/drivers.md for "
         "what it must have"

@@ -9,6 +9,7 @@ import math
 import signal
 import time
 from importlib.metadata import EntryPoint
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -140,6 +141,14 @@ def test_an_opener_that_misses_a_key_says_which(ours):
         ours(lambda handed: handed["address"]).__enter__()
     with pytest.raises(UsageError, match="opens a dict, which is no YawAxis"):
         ours(axis=lambda _: {}).__enter__()
+
+
+def test_what_is_opened_and_refused_is_stopped_and_closed(ours):
+    ended = []
+    half = SimpleNamespace(stop=lambda: ended.append("stop"), close=lambda: ended.append("close"))
+    with pytest.raises(UsageError, match="which is no YawAxis"):
+        ours(axis=lambda _: half).__enter__()
+    assert ended == ["stop", "close"]
 
 
 def test_a_command_tells_what_ended_it_not_that_the_motor_cannot_stop(ours, tmp_path, capsys):

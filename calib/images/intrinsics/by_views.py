@@ -7,7 +7,6 @@ Marquardt (`calib.images.joint.reduced`).
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -100,14 +99,14 @@ class Views:
             np.zeros((count, POSE)),
             0.0,
         )
-        bows, cost = warp_shapes(self.points), 0.0
+        shapes, cost = warp_shapes(self.points), 0.0
         for i in np.flatnonzero(self.used.any(axis=-1)):
             own = self.used[i]
             view = project_points(camera, transform(at.own[i], points[own]))
             a = view.by_intrinsics
             if self.warp:
                 lift = view.by_point @ rotation(at.own[i, :3])[:, 2]
-                a = np.concatenate([a, lift[..., None] * bows[own, None, :]], axis=-1)
+                a = np.concatenate([a, lift[..., None] * shapes[own, None, :]], axis=-1)
             a = a.reshape(-1, size)
             b = (view.by_point @ transformed_by_pose(at.own[i], points[own])).reshape(-1, POSE)
             r = (view.pixels - self.pixels[i, own]).ravel()
@@ -129,7 +128,7 @@ def fit_views(
     lens
         Name of the lens model.
     warp
-        Whether the board may be bowed.
+        Whether the board deformation is an unknown.
 
     Raises
     ------
@@ -186,14 +185,10 @@ def solve(problem: Views) -> Unknowns:
         poses[i] = single_view_pose(problem.camera, points=problem.points, pixels=pixels)[0]
     warp = np.zeros(2 if problem.warp else 0)
     start = Unknowns(np.concatenate([intrinsic_vector(problem.camera), warp]), poses)
-    at = minimise_views(_evaluation(problem), start, done=_DONE_PX2).at
+    at = minimise_views(problem.normals_at, start, done=_DONE_PX2).at
     own = at.own.copy()
     own[~problem.used.any(axis=-1)] = np.nan
     return Unknowns(at.shared, own)
-
-
-def _evaluation(problem: Views) -> Callable[[Unknowns], ViewNormals]:
-    return problem.normals_at
 
 
 def equidistant_start(corners: Corners, points: FloatArray) -> Camera:
